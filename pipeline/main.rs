@@ -1,0 +1,58 @@
+//! The command `holescout`: parses, calls the library, reports.
+
+mod cli;
+mod config;
+mod console;
+mod failure;
+mod rasterise;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use cli::{Cli, Command};
+use console::{Console, Report};
+use failure::Failure;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let console = Console::new(cli.common.quiet);
+    match run(&cli, &console).and_then(|report| print(&report, cli.common.json)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) if failure.is_broken_pipe() => ExitCode::SUCCESS,
+        Err(failure) => {
+            console.error(&failure);
+            failure.exit_code()
+        }
+    }
+}
+
+fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
+    if let Some(threads) = cli.common.threads {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads.get())
+            .build_global();
+        pool.map_err(Failure::running)?;
+    }
+    let config = config::merged(&cli.common, &cli.command)?;
+    match &cli.command {
+        Command::Rasterise(args) => rasterise::run(args, &config, console),
+        Command::Config(_) => config::run(&config),
+    }
+}
+
+/// The report as text, or with `--json` as one line; either way the end of standard output.
+fn print(report: &Report, json: bool) -> Result<(), Failure> {
+    let mut stdout = std::io::stdout().lock();
+    let text = if json {
+        format!("{}\n", report.json)
+    } else {
+        report.text.clone()
+    };
+    stdout
+        .write_all(text.as_bytes())
+        .and_then(|()| stdout.flush())
+        .map_err(Failure::running)?;
+    report.outcome()
+}

@@ -1,0 +1,87 @@
+//! `holescout rasterise`.
+
+use std::fmt::Write;
+
+use holescout::building::Action;
+use holescout::config::Config;
+use holescout::grid::Area;
+use holescout::manifest::{TilesManifest, Verdict};
+use holescout::rasterise::{TilesJob, build_tiles};
+use serde_json::json;
+
+use crate::cli::RasteriseArgs;
+use crate::console::{Console, Report};
+use crate::failure::Failure;
+
+pub(crate) fn run(
+    args: &RasteriseArgs,
+    config: &Config,
+    console: &Console,
+) -> Result<Report, Failure> {
+    let area = match (&args.bbox, &args.area) {
+        (Some(bbox), _) => {
+            let four = <[f64; 4]>::try_from(bbox.as_slice());
+            Area::from_bbox(
+                four.map_err(|_| Failure::input("--bbox takes four numbers: W,S,E,N"))?,
+            )?
+        }
+        (None, Some(path)) => Area::from_geojson(path)?,
+        (None, None) => Area::Whole,
+    };
+    let job = TilesJob {
+        osm: &args.osm,
+        area: &area,
+        config,
+        out: &args.output.out,
+        overwrite: args.output.overwrite,
+    };
+    let manifest = build_tiles(job, console)?;
+    Report::new(text(&manifest), &summary(&manifest))
+}
+
+fn summary(manifest: &TilesManifest) -> serde_json::Value {
+    json!({
+        "stage": "rasterise",
+        "epsg": manifest.epsg,
+        "tiles": manifest.tiles.len(),
+        "verdicts": manifest.verdicts,
+        "buildings": manifest.buildings,
+        "problems": manifest.problems,
+    })
+}
+
+fn text(manifest: &TilesManifest) -> String {
+    let buildings = &manifest.buildings;
+    let dropped: u64 = manifest
+        .verdicts
+        .iter()
+        .filter(|(verdict, _)| **verdict != Verdict::Kept)
+        .map(|(_, count)| count)
+        .sum();
+    let mut text = format!(
+        "{} tiles in EPSG:{}, {dropped} more were too empty (tiles.csv lists them)\n\
+         {} buildings, {} parts, {} elevated ones that do not block\n\
+         heights: {} from height, {} from levels, {} guessed\n",
+        manifest.tiles.len(),
+        manifest.epsg,
+        buildings.outlines,
+        buildings.parts,
+        buildings.elevated,
+        buildings.from_height,
+        buildings.from_levels,
+        buildings.from_default,
+    );
+    for (action, codes) in &manifest.problems {
+        let codes: Vec<_> = codes
+            .iter()
+            .map(|(code, count)| format!("{count} {}", code.name()))
+            .collect();
+        let what = match action {
+            Action::Skipped => "skipped",
+            Action::Repaired => "repaired",
+            Action::LeftOut => "left out",
+        };
+        writeln!(text, "{what}: {}", codes.join(", ")).expect("writing to a string cannot fail");
+    }
+    text
+}

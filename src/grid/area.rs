@@ -1,0 +1,179 @@
+//! The part of the world that a run covers.
+
+use std::path::{Path, PathBuf};
+
+use geo::{BoundingRect, Contains, MultiPolygon, Point, Polygon, Rect, coord};
+
+use crate::error::{Fault, FileError, HasFault};
+
+/// An area in longitude and latitude, or everything the extract holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Area {
+    /// Whatever the extract covers.
+    Whole,
+    /// Inside polygons, in degrees (WGS 84).
+    Inside(MultiPolygon<f64>),
+}
+
+/// Why an area cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum AreaError {
+    /// The bounding box is empty or not on the globe.
+    #[error(
+        "bounding box {0:?} is no area: expected west,south,east,north in degrees, \
+         west < east within ±180 and south < north within ±90"
+    )]
+    Bbox([f64; 4]),
+    /// The file could not be read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The file is no GeoJSON.
+    #[error("{}: not GeoJSON: {reason}", path.display())]
+    NotGeoJson {
+        /// The file.
+        path: PathBuf,
+        /// The parser's reason.
+        reason: String,
+    },
+    /// The GeoJSON holds no polygon.
+    #[error("{}: no Polygon or MultiPolygon in it, nothing would be covered", path.display())]
+    NoPolygon {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl HasFault for AreaError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::File(error) => error.fault(),
+            _ => Fault::Input,
+        }
+    }
+}
+
+impl Area {
+    /// From west, south, east, north in degrees.
+    ///
+    /// # Errors
+    /// [`AreaError::Bbox`] for an empty box or one that is not on the globe.
+    pub fn from_bbox(bbox: [f64; 4]) -> Result<Self, AreaError> {
+        let [west, south, east, north] = bbox;
+        let on_globe = west >= -180.0 && east <= 180.0 && south >= -90.0 && north <= 90.0;
+        if !(on_globe && west < east && south < north) {
+            return Err(AreaError::Bbox(bbox));
+        }
+        let rect = Rect::new(coord! { x: west, y: south }, coord! { x: east, y: north });
+        Ok(Self::Inside(MultiPolygon(vec![rect.to_polygon()])))
+    }
+
+    /// All polygons of a GeoJSON file (RFC 7946: degrees, WGS 84).
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no GeoJSON or holds no polygon.
+    pub fn from_geojson(path: &Path) -> Result<Self, AreaError> {
+        let text = std::fs::read_to_string(path).map_err(FileError::new("read", path))?;
+        let not_geojson = |reason: String| AreaError::NotGeoJson {
+            path: path.to_owned(),
+            reason,
+        };
+        let parsed: geojson::GeoJson = text
+            .parse()
+            .map_err(|error: geojson::Error| not_geojson(error.to_string()))?;
+        let collection: geo::GeometryCollection<f64> =
+            geo::GeometryCollection::try_from(&parsed)
+                .map_err(|error| not_geojson(error.to_string()))?;
+        let mut polygons = Vec::new();
+        collection
+            .into_iter()
+            .for_each(|geometry| collect_polygons(geometry, &mut polygons));
+        if polygons.is_empty() {
+            return Err(AreaError::NoPolygon {
+                path: path.to_owned(),
+            });
+        }
+        Ok(Self::Inside(MultiPolygon(polygons)))
+    }
+
+    /// Whether a place lies inside.
+    #[must_use]
+    pub fn contains(&self, lon: f64, lat: f64) -> bool {
+        match self {
+            Self::Whole => true,
+            Self::Inside(polygons) => polygons.contains(&Point::new(lon, lat)),
+        }
+    }
+
+    /// Longitude and latitude of the middle of the bounding box; `None` for the whole extract.
+    #[must_use]
+    pub fn middle(&self) -> Option<[f64; 2]> {
+        match self {
+            Self::Whole => None,
+            Self::Inside(polygons) => polygons
+                .bounding_rect()
+                .map(|rect| [rect.center().x, rect.center().y]),
+        }
+    }
+}
+
+fn collect_polygons(geometry: geo::Geometry<f64>, polygons: &mut Vec<Polygon<f64>>) {
+    match geometry {
+        geo::Geometry::Polygon(polygon) => polygons.push(polygon),
+        geo::Geometry::MultiPolygon(several) => polygons.extend(several),
+        geo::Geometry::GeometryCollection(collection) => {
+            collection
+                .into_iter()
+                .for_each(|member| collect_polygons(member, polygons));
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bbox_contains_its_inside_only() {
+        let area = Area::from_bbox([24.0, 60.0, 25.0, 61.0]).expect("a box");
+        assert!(area.contains(24.5, 60.5) && !area.contains(23.9, 60.5));
+        assert_eq!(area.middle(), Some([24.5, 60.5]));
+        assert!(matches!(
+            Area::from_bbox([1.0, 0.0, 0.0, 1.0]),
+            Err(AreaError::Bbox(_))
+        ));
+        assert!(matches!(
+            Area::from_bbox([f64::NAN, 0.0, 1.0, 1.0]),
+            Err(AreaError::Bbox(_))
+        ));
+    }
+
+    #[test]
+    fn geojson_polygons_are_read_and_other_things_refused() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let path = dir.path().join("area.geojson");
+        let write = |text: &str| std::fs::write(&path, text).expect("written");
+        write(
+            r#"{"type":"Feature","properties":{},"geometry":{"type":"Polygon",
+               "coordinates":[[[0,0],[2,0],[2,2],[0,2],[0,0]],[[0.5,0.5],[1,0.5],[1,1],[0.5,0.5]]]}}"#,
+        );
+        let area = Area::from_geojson(&path).expect("a polygon");
+        assert!(area.contains(1.5, 1.5) && !area.contains(0.9, 0.7));
+        write(r#"{"type":"Point","coordinates":[0,0]}"#);
+        assert!(matches!(
+            Area::from_geojson(&path),
+            Err(AreaError::NoPolygon { .. })
+        ));
+        write("roads");
+        assert!(matches!(
+            Area::from_geojson(&path),
+            Err(AreaError::NotGeoJson { .. })
+        ));
+        let missing = dir.path().join("missing");
+        assert!(matches!(
+            Area::from_geojson(&missing),
+            Err(AreaError::File(_))
+        ));
+    }
+}

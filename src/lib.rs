@@ -1,0 +1,28 @@
+//! Holescout: from OpenStreetMap buildings and ray-traced radio maps to reproducible
+//! datasets for finding coverage holes.
+//!
+//! The library is pure: no argument parsing, no printing. Each stage of the pipeline is
+//! one function that reads files and writes a directory; the command `holescout` (in
+//! `pipeline/`) parses, calls it, and reports. ARCHITECTURE.md tells the way that data
+//! takes.
+//!
+//! Modules import only from those above them in this list:
+//!
+//! 1. [`units`], [`error`], [`progress`], [`config`]: words that everything else uses
+//! 2. [`crs`]: longitude/latitude to UTM and back
+//! 3. [`grid`], [`building`]: tiles and windows; tags, heights, defects
+//! 4. [`store`]: files that are whole or absent, `.npy`, `.npz`, seekable Zstandard
+//! 5. [`manifest`]: what stages write about their outputs
+//! 6. [`osm`], [`rasterise`]: extracts to buildings to height grids
+
+pub mod building;
+pub mod config;
+pub mod crs;
+pub mod error;
+pub mod grid;
+pub mod manifest;
+pub mod osm;
+pub mod progress;
+pub mod rasterise;
+pub mod store;
+pub mod units;

@@ -1,0 +1,13 @@
+//! What every stage writes about its output, as serde types; `schemas/` is made from them.
+//!
+//! A manifest names its inputs by content, never by path, and holds no time of day, so
+//! that the same inputs give the same manifest anywhere.
+
+mod common;
+mod tiles;
+
+pub use common::{Input, ManifestError, Software, fingerprint, load, to_json};
+pub use tiles::{
+    BuildingCounts, BuiltBySource, TileEntry, TileMeta, TileStatistics, TilesConfig, TilesManifest,
+    Verdict,
+};

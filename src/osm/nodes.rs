@@ -1,0 +1,85 @@
+//! Coordinates of the nodes that kept buildings use, and of no others.
+//!
+//! Memory: 8 bytes for the id and 8 for the place of each node in use.
+
+use osmpbfreader::osmformat::PrimitiveBlock;
+
+use super::block;
+
+/// A place that no node has: latitudes end at 90°, far below 214°.
+const UNKNOWN: [i32; 2] = [i32::MAX, i32::MAX];
+/// Degrees in a unit of OSM coordinates.
+const DEGREES_PER_UNIT: f64 = 1e-7;
+
+/// Wanted nodes, sorted by id, with their places once known.
+pub(super) struct NodeTable {
+    ids: Vec<i64>,
+    places: Vec<[i32; 2]>,
+}
+
+impl NodeTable {
+    /// A table of nodes whose places are yet unknown.
+    pub(super) fn new(mut ids: Vec<i64>) -> Self {
+        ids.sort_unstable();
+        ids.dedup();
+        ids.shrink_to_fit();
+        let places = vec![UNKNOWN; ids.len()];
+        Self { ids, places }
+    }
+
+    /// The wanted nodes of a block, by their index in the table.
+    pub(super) fn find(&self, block: &PrimitiveBlock) -> Vec<(u32, [i32; 2])> {
+        let mut found = Vec::new();
+        // Extracts are sorted by id, so one walk through both lists finds everything; a step
+        // back, which the format allows, costs a binary search.
+        let (mut cursor, mut previous) = (usize::MAX, i64::MAX);
+        for (id, place) in block::nodes(block) {
+            if id < previous {
+                cursor = self.ids.partition_point(|&wanted| wanted < id);
+            }
+            previous = id;
+            while self.ids.get(cursor).is_some_and(|&wanted| wanted < id) {
+                cursor += 1;
+            }
+            if self.ids.get(cursor) == Some(&id) {
+                found.push((cursor as u32, place));
+            }
+        }
+        found
+    }
+
+    /// Enters places; the first that is known of a node stays.
+    pub(super) fn enter(&mut self, found: Vec<(u32, [i32; 2])>) {
+        for (index, place) in found {
+            let entry = &mut self.places[index as usize];
+            if *entry == UNKNOWN {
+                *entry = place;
+            }
+        }
+    }
+
+    /// Longitude and latitude of a node, in degrees, if the extract has it.
+    pub(super) fn place(&self, id: i64) -> Option<[f64; 2]> {
+        let place = self.places[self.ids.binary_search(&id).ok()?];
+        (place != UNKNOWN).then(|| degrees(place))
+    }
+
+    /// Middle of the bounding box of all known nodes, in degrees.
+    pub(super) fn middle(&self) -> Option<[f64; 2]> {
+        let mut known = self.places.iter().filter(|&&place| place != UNKNOWN);
+        let &first = known.next()?;
+        let (mut low, mut high) = (first, first);
+        for &place in known {
+            for axis in 0..2 {
+                low[axis] = low[axis].min(place[axis]);
+                high[axis] = high[axis].max(place[axis]);
+            }
+        }
+        let ([west, south], [east, north]) = (degrees(low), degrees(high));
+        Some([f64::midpoint(west, east), f64::midpoint(south, north)])
+    }
+}
+
+fn degrees(place: [i32; 2]) -> [f64; 2] {
+    place.map(|units| f64::from(units) * DEGREES_PER_UNIT)
+}

@@ -1,0 +1,14 @@
+//! Building footprints to height grids, tile by tile.
+//!
+//! A cell belongs to a footprint if its centre is inside (even-odd): the rule of
+//! `gdal_rasterize` without `ALL_TOUCHED`. A cell's value depends on its place alone, so
+//! tiles that overlap agree, whatever area they were built from.
+
+mod index;
+mod scanline;
+mod stage;
+mod tile;
+
+pub use scanline::Scanline;
+pub use stage::{RasteriseError, TilesJob, build_tiles};
+pub use tile::{HeightGrid, rasterise_tile};

@@ -1,0 +1,382 @@
+//! `holescout rasterise`: extracts in, a directory of tiles out.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use geo::MultiPolygon;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::index::BuildingIndex;
+use super::tile::{HeightGrid, rasterise_tile};
+use crate::building::{Action, Building, Defect, HeightSource, Kind, Problem};
+use crate::config::{Config, FilterConfig};
+use crate::error::{Fault, FileError, HasFault};
+use crate::grid::{Area, TileId};
+use crate::manifest::{
+    BuildingCounts, Input, Software, TileEntry, TileMeta, TileStatistics, TilesConfig,
+    TilesManifest, Verdict, fingerprint, to_json,
+};
+use crate::osm::{Extract, ReadError, read_buildings};
+use crate::progress::Progress;
+use crate::store::{Digest, OutputDir, OutputError, npy_bytes, npz_bytes, sha256_file};
+
+/// Deflate level of tiles. Measured on San Jose (`benches/RESULTS.md`): higher levels cost
+/// several times the time for a few per cent of size.
+const DEFLATE_LEVEL: i64 = 1;
+
+/// Why tiles could not be built.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RasteriseError {
+    /// The extracts cannot be used.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The output directory cannot be used.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// No tile of the lattice has both its centre in the area and a building.
+    #[error(
+        "the area holds no tile: none of the {candidates} tiles with buildings has its centre \
+         inside; the buildings lie around longitude {lon:.4}, latitude {lat:.4}"
+    )]
+    NothingInArea {
+        /// Tiles of the extract with buildings.
+        candidates: usize,
+        /// Longitude of one of them, in degrees.
+        lon: f64,
+        /// Latitude of one of them, in degrees.
+        lat: f64,
+    },
+}
+
+impl HasFault for RasteriseError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Read(error) => error.fault(),
+            Self::Output(error) => error.fault(),
+            Self::NothingInArea { .. } => Fault::Input,
+        }
+    }
+}
+
+impl From<FileError> for RasteriseError {
+    fn from(error: FileError) -> Self {
+        Self::Output(error.into())
+    }
+}
+
+/// What to rasterise and where to.
+#[derive(Debug, Clone, Copy)]
+pub struct TilesJob<'a> {
+    /// Extracts; of an object in several, the first is taken.
+    pub osm: &'a [PathBuf],
+    /// The part to cover.
+    pub area: &'a Area,
+    /// The configuration; `[grid]`, `[buildings]` and `[filter]` are used.
+    pub config: &'a Config,
+    /// The directory to fill.
+    pub out: &'a Path,
+    /// Replace tiles of other inputs that are there.
+    pub overwrite: bool,
+}
+
+/// A candidate tile: what the journal remembers and `tiles.csv` lists.
+#[derive(Debug, Serialize, serde::Deserialize)]
+struct Candidate {
+    id: TileId,
+    statistics: TileStatistics,
+    verdict: Verdict,
+    digest: Option<Digest>,
+}
+
+/// Builds all tiles of a job and returns the manifest that was written.
+///
+/// # Errors
+/// [`RasteriseError`]. The directory is not touched before the extracts have been read, and
+/// holds no manifest unless everything was written.
+pub fn build_tiles(
+    job: TilesJob<'_>,
+    progress: &dyn Progress,
+) -> Result<TilesManifest, RasteriseError> {
+    let Config {
+        grid,
+        buildings,
+        filter,
+        ..
+    } = job.config;
+    let config = TilesConfig {
+        grid: grid.clone(),
+        buildings: buildings.clone(),
+        filter: filter.clone(),
+    };
+    let inputs = inputs(job.osm, &config)?;
+    let area = coordinates(job.area);
+    let digests: Vec<_> = inputs.iter().map(|input| &input.digest).collect();
+    let fingerprint = fingerprint(&(TilesManifest::SCHEMA, &config, &digests, &area));
+    OutputDir::check(job.out, "tiles", &fingerprint, job.overwrite)?;
+
+    let Extract {
+        buildings,
+        utm,
+        problems,
+    } = read_buildings(job.osm, &config.buildings, grid.epsg, job.area, progress)?;
+    let index = BuildingIndex::new(&buildings, grid, utm);
+    let candidates = select(&index, job.area)?;
+
+    let output = OutputDir::begin(job.out, "tiles", &fingerprint, job.overwrite)?;
+    progress.begin("rasterising tiles", Some(candidates.len() as u64));
+    let candidates = candidates
+        .par_iter()
+        .map(|&id| {
+            let candidate = build_tile(id, &index, &config, &output);
+            progress.advance(1);
+            candidate
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    progress.end();
+
+    output.write("tiles.csv", &tiles_csv(&candidates))?;
+    output.write("problems.csv", &problems_csv(&problems))?;
+    let mut verdicts = BTreeMap::new();
+    for candidate in &candidates {
+        *verdicts.entry(candidate.verdict).or_default() += 1;
+    }
+    let manifest = TilesManifest {
+        schema: TilesManifest::SCHEMA.to_owned(),
+        fingerprint,
+        software: Software::this(),
+        licence: config.buildings.licence.clone(),
+        attribution: config.buildings.attribution.clone(),
+        epsg: utm.epsg(),
+        area,
+        config,
+        inputs,
+        buildings: count_buildings(&buildings),
+        problems: count_problems(&problems),
+        verdicts,
+        tiles: candidates.into_iter().filter_map(entry).collect(),
+    };
+    output.complete(&to_json(&manifest))?;
+    Ok(manifest)
+}
+
+fn inputs(files: &[PathBuf], config: &TilesConfig) -> Result<Vec<Input>, FileError> {
+    files
+        .par_iter()
+        .map(|path| {
+            Ok(Input {
+                file: path
+                    .file_name()
+                    .unwrap_or_default()
+                    .to_string_lossy()
+                    .into_owned(),
+                digest: sha256_file(path)?,
+                licence: config.buildings.licence.clone(),
+                attribution: config.buildings.attribution.clone(),
+            })
+        })
+        .collect()
+}
+
+/// An area as GeoJSON coordinates.
+fn coordinates(area: &Area) -> Option<Vec<Vec<Vec<[f64; 2]>>>> {
+    let Area::Inside(MultiPolygon(polygons)) = area else {
+        return None;
+    };
+    let ring = |line: &geo::LineString<f64>| line.coords().map(|p| [p.x, p.y]).collect();
+    let rings = |polygon: &geo::Polygon<f64>| {
+        std::iter::once(polygon.exterior())
+            .chain(polygon.interiors())
+            .map(ring)
+            .collect()
+    };
+    Some(polygons.iter().map(rings).collect())
+}
+
+fn select(index: &BuildingIndex<'_>, area: &Area) -> Result<Vec<TileId>, RasteriseError> {
+    let candidates = index.candidates();
+    let inside = |tile: &TileId| {
+        let [lon, lat] = tile.lon_lat();
+        area.contains(lon, lat)
+    };
+    let selected: Vec<TileId> = candidates.iter().copied().filter(inside).collect();
+    if selected.is_empty() {
+        let [lon, lat] = candidates
+            .first()
+            .map_or([f64::NAN; 2], |tile| tile.lon_lat());
+        return Err(RasteriseError::NothingInArea {
+            candidates: candidates.len(),
+            lon,
+            lat,
+        });
+    }
+    Ok(selected)
+}
+
+fn build_tile(
+    id: TileId,
+    index: &BuildingIndex<'_>,
+    config: &TilesConfig,
+    output: &OutputDir,
+) -> Result<Candidate, FileError> {
+    let key = id.to_string();
+    if let Some(done) = output.finished(&key) {
+        return Ok(done);
+    }
+    let tile = rasterise_tile(id, &config.grid, &index.of_tile(id));
+    let statistics = tile.statistics;
+    let verdict = judge(&statistics, &config.filter);
+    let candidate = |digest: Option<&Digest>| Candidate {
+        id,
+        statistics,
+        verdict,
+        digest: digest.cloned(),
+    };
+    if verdict == Verdict::Kept {
+        let bytes = tile_npz(id, &tile, config);
+        output.finish_item(&key, Some((&file_name(id), &bytes)), candidate)
+    } else {
+        output.finish_item(&key, None, candidate)
+    }
+}
+
+fn judge(statistics: &TileStatistics, filter: &FilterConfig) -> Verdict {
+    if statistics.buildings < filter.min_buildings {
+        Verdict::FewBuildings
+    } else if statistics.built < filter.min_built {
+        Verdict::LowBuilt
+    } else {
+        Verdict::Kept
+    }
+}
+
+fn file_name(id: TileId) -> String {
+    format!("{id}.npz")
+}
+
+fn tile_npz(id: TileId, tile: &HeightGrid, config: &TilesConfig) -> Vec<u8> {
+    let meta = TileMeta {
+        schema: TileMeta::SCHEMA.to_owned(),
+        id,
+        epsg: id.utm.epsg(),
+        center_m: id.center(),
+        center_lon_lat: id.lon_lat(),
+        side_m: config.grid.side_m,
+        cell_m: config.grid.cell_m,
+        crop_m: config.grid.crop_m,
+        row_order: "north_first".to_owned(),
+        licence: config.buildings.licence.clone(),
+        attribution: config.buildings.attribution.clone(),
+        statistics: tile.statistics,
+    };
+    let meta = ndarray::Array1::from_vec(to_json(&meta));
+    let members = [
+        ("height_m", npy_bytes(&tile.height_m)),
+        ("height_source", npy_bytes(&tile.height_source)),
+        ("meta_json", npy_bytes(&meta)),
+    ];
+    npz_bytes(&members, DEFLATE_LEVEL)
+}
+
+fn entry(candidate: Candidate) -> Option<TileEntry> {
+    let Candidate {
+        id,
+        statistics,
+        digest,
+        ..
+    } = candidate;
+    Some(TileEntry {
+        id,
+        file: file_name(id),
+        digest: digest?,
+        statistics,
+    })
+}
+
+fn count_buildings(buildings: &[Building]) -> BuildingCounts {
+    let mut counts = BuildingCounts::default();
+    for Building { attributes, .. } in buildings {
+        *match (attributes.elevated, attributes.kind) {
+            (true, _) => &mut counts.elevated,
+            (false, Kind::Outline) => &mut counts.outlines,
+            (false, Kind::Part) => &mut counts.parts,
+        } += 1;
+        *match attributes.source {
+            HeightSource::Height => &mut counts.from_height,
+            HeightSource::Levels => &mut counts.from_levels,
+            HeightSource::Default => &mut counts.from_default,
+        } += 1;
+    }
+    counts
+}
+
+fn count_problems(problems: &[Problem]) -> BTreeMap<Action, BTreeMap<Defect, u64>> {
+    let mut counts: BTreeMap<Action, BTreeMap<Defect, u64>> = BTreeMap::new();
+    for Problem { defect, .. } in problems {
+        *counts
+            .entry(defect.action())
+            .or_default()
+            .entry(*defect)
+            .or_default() += 1;
+    }
+    counts
+}
+
+fn tiles_csv(candidates: &[Candidate]) -> Vec<u8> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let header = [
+        "id",
+        "lon",
+        "lat",
+        "verdict",
+        "buildings",
+        "built",
+        "max_height_m",
+        "cells_from_height",
+        "cells_from_levels",
+        "cells_from_default",
+    ];
+    let rows = candidates.iter().map(
+        |Candidate {
+             id,
+             statistics,
+             verdict,
+             ..
+         }| {
+            let [lon, lat] = id.lon_lat();
+            let cells = statistics.built_cells;
+            [
+                id.to_string(),
+                format!("{lon:.7}"),
+                format!("{lat:.7}"),
+                verdict.name().to_owned(),
+                statistics.buildings.to_string(),
+                format!("{:.6}", statistics.built),
+                statistics.max_height_m.to_string(),
+                cells.height.to_string(),
+                cells.levels.to_string(),
+                cells.default.to_string(),
+            ]
+        },
+    );
+    csv.write_record(header)
+        .expect("writing to memory cannot fail");
+    for row in rows {
+        csv.write_record(row)
+            .expect("writing to memory cannot fail");
+    }
+    csv.into_inner().expect("writing to memory cannot fail")
+}
+
+fn problems_csv(problems: &[Problem]) -> Vec<u8> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    csv.write_record(["object", "code", "action"])
+        .expect("writing to memory cannot fail");
+    for Problem { object, defect } in problems {
+        let row = [&object.to_string(), defect.name(), defect.action().name()];
+        csv.write_record(row)
+            .expect("writing to memory cannot fail");
+    }
+    csv.into_inner().expect("writing to memory cannot fail")
+}

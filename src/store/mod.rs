@@ -1,0 +1,18 @@
+//! Files: written whole or not at all, hashed, read with suspicion.
+//!
+//! Everything that touches the disk passes through here, so that crash safety,
+//! determinism and size limits are each kept in one place.
+
+mod atomic;
+mod hash;
+mod npy;
+mod npz;
+mod output;
+mod seekable;
+
+pub use atomic::{write_atomic, write_atomic_with};
+pub use hash::{Digest, sha256_bytes, sha256_file};
+pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
+pub use npz::{NpzError, NpzReader, npz_bytes};
+pub use output::{MANIFEST, OutputDir, OutputError, SUMS, parse_sums};
+pub use seekable::{SeekError, SeekTable, SeekableWriter, compress_frame, decompress_frame};

@@ -1,0 +1,499 @@
+//! A directory that a stage fills: resumable, never half-done under a final name.
+//!
+//! While a build runs, the directory holds a journal (`.holescout-build.jsonl`): its first
+//! line says which stage builds from which inputs, every further line names an item that
+//! is done, with the digest of its file. A killed build leaves the journal and no
+//! manifest; the next run with the same inputs takes over what the journal vouches for.
+//! The manifest is written last and the journal removed after it, so a directory with a
+//! manifest is whole.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::atomic::TEMPORARY_PREFIX;
+use super::{Digest, sha256_bytes, sha256_file, write_atomic};
+use crate::error::{Fault, FileError, HasFault};
+
+/// Name of a stage's manifest.
+pub const MANIFEST: &str = "manifest.json";
+/// Name of the list of checksums, in the format of `sha256sum`.
+pub const SUMS: &str = "SHA256SUMS";
+const JOURNAL: &str = ".holescout-build.jsonl";
+
+/// Why a directory cannot be used or filled.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OutputError {
+    /// Reading or writing failed.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The directory holds the output of other inputs.
+    #[error(
+        "{} holds {found}, not {expected}: choose another directory, \
+         or pass --overwrite to replace it", path.display()
+    )]
+    Occupied {
+        /// The directory.
+        path: PathBuf,
+        /// What is there.
+        found: String,
+        /// What would have been written.
+        expected: String,
+    },
+    /// Another process is writing there now.
+    #[error("{} is being written by another run of holescout", path.display())]
+    Busy {
+        /// The directory.
+        path: PathBuf,
+    },
+}
+
+impl HasFault for OutputError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::File(error) => error.fault(),
+            Self::Occupied { .. } | Self::Busy { .. } => Fault::Input,
+        }
+    }
+}
+
+/// What is built: the stage, and the SHA-256 over everything that its output depends on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct Plan {
+    stage: String,
+    fingerprint: String,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Line<T> {
+    key: String,
+    file: Option<(String, Digest)>,
+    item: T,
+}
+
+/// The fields that all manifests share, enough to tell whose a directory is.
+#[derive(Debug, Deserialize)]
+struct AnyManifest {
+    schema: String,
+    fingerprint: String,
+}
+
+/// A directory being filled.
+#[derive(Debug)]
+pub struct OutputDir {
+    root: PathBuf,
+    journal: Mutex<File>,
+    earlier: HashMap<String, Line<serde_json::Value>>,
+    files: Mutex<BTreeMap<String, Digest>>,
+}
+
+impl OutputDir {
+    /// Checks that a directory can take a stage's output, without changing anything.
+    ///
+    /// # Errors
+    /// [`OutputError::Occupied`] if it holds something else.
+    pub fn check(
+        root: &Path,
+        stage: &str,
+        fingerprint: &str,
+        overwrite: bool,
+    ) -> Result<(), OutputError> {
+        let expected = Plan {
+            stage: stage.to_owned(),
+            fingerprint: fingerprint.to_owned(),
+        };
+        let occupied = |found: String| OutputError::Occupied {
+            path: root.to_owned(),
+            found,
+            expected: format!("the {stage} of these inputs"),
+        };
+        match present(root)? {
+            Present::Nothing => Ok(()),
+            Present::Ours(plan) if plan == expected => Ok(()),
+            Present::Ours(plan) if plan.stage == expected.stage && overwrite => Ok(()),
+            Present::Ours(plan) if plan.stage == expected.stage => Err(occupied(format!(
+                "the {stage} of other inputs or another configuration"
+            ))),
+            Present::Ours(plan) => Err(occupied(format!("the {} of another stage", plan.stage))),
+            Present::Foreign(name) => Err(occupied(format!(
+                "files that holescout did not write ({name})"
+            ))),
+        }
+    }
+
+    /// Begins or resumes filling a directory. With `overwrite`, an output of the same stage
+    /// from other inputs is removed first; files of anyone else never are.
+    ///
+    /// # Errors
+    /// As [`OutputDir::check`], and when writing fails.
+    pub fn begin(
+        root: &Path,
+        stage: &str,
+        fingerprint: &str,
+        overwrite: bool,
+    ) -> Result<Self, OutputError> {
+        Self::check(root, stage, fingerprint, overwrite)?;
+        let plan = Plan {
+            stage: stage.to_owned(),
+            fingerprint: fingerprint.to_owned(),
+        };
+        let resumes = read_journal(root).is_some_and(|(earlier, _)| earlier == plan);
+        if !resumes {
+            remove_output(root)?;
+        }
+        std::fs::create_dir_all(root).map_err(FileError::new("create", root))?;
+        let path = root.join(JOURNAL);
+        let mut journal = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .map_err(FileError::new("create", &path))?;
+        if journal.try_lock().is_err() {
+            return Err(OutputError::Busy {
+                path: root.to_owned(),
+            });
+        }
+        let mut earlier = HashMap::new();
+        if resumes {
+            let lines = read_journal(root)
+                .map(|(_, lines)| lines)
+                .unwrap_or_default();
+            earlier.extend(lines.into_iter().map(|line| (line.key.clone(), line)));
+            // A torn last line must not swallow the next one.
+            journal
+                .write_all(b"\n")
+                .map_err(FileError::new("write", &path))?;
+        } else {
+            write_line(&mut journal, &plan).map_err(FileError::new("write", &path))?;
+        }
+        Ok(Self {
+            root: root.to_owned(),
+            journal: Mutex::new(journal),
+            earlier,
+            files: Mutex::default(),
+        })
+    }
+
+    /// An item that an earlier, interrupted run finished, if its file is still what the
+    /// journal says.
+    pub fn finished<T: DeserializeOwned>(&self, key: &str) -> Option<T> {
+        let line = self.earlier.get(key)?;
+        if let Some((name, digest)) = &line.file {
+            if sha256_file(&self.root.join(name)).ok()? != *digest {
+                return None;
+            }
+            self.remember(name, digest);
+        }
+        serde_json::from_value(line.item.clone()).ok()
+    }
+
+    /// Writes a file and notes in the journal that the item `key` is done.
+    ///
+    /// # Errors
+    /// When writing fails; the file is then absent.
+    pub fn finish_item<T: Serialize>(
+        &self,
+        key: &str,
+        file: Option<(&str, &[u8])>,
+        item: impl FnOnce(Option<&Digest>) -> T,
+    ) -> Result<T, FileError> {
+        let file = match file {
+            None => None,
+            Some((name, bytes)) => Some((name.to_owned(), self.write(name, bytes)?)),
+        };
+        let item = item(file.as_ref().map(|(_, digest)| digest));
+        let line = Line {
+            key: key.to_owned(),
+            file,
+            item,
+        };
+        let mut journal = self
+            .journal
+            .lock()
+            .expect("no writer panics while it holds the lock");
+        write_line(&mut journal, &line)
+            .map_err(FileError::new("write", &self.root.join(JOURNAL)))?;
+        Ok(line.item)
+    }
+
+    /// Writes a file that belongs to the output as a whole.
+    ///
+    /// # Errors
+    /// When writing fails; the file is then absent.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<Digest, FileError> {
+        let path = self.root.join(name);
+        if let Some(parent) = path.parent() {
+            std::fs::create_dir_all(parent).map_err(FileError::new("create", parent))?;
+        }
+        write_atomic(&path, bytes)?;
+        let digest = sha256_bytes(bytes);
+        self.remember(name, &digest);
+        Ok(digest)
+    }
+
+    /// Completes the output: checksums, manifest, end of the journal.
+    ///
+    /// # Errors
+    /// When writing fails; the directory then still counts as unfinished.
+    pub fn complete(self, manifest: &[u8]) -> Result<Digest, FileError> {
+        let digest = sha256_bytes(manifest);
+        self.remember(MANIFEST, &digest);
+        let files = self
+            .files
+            .into_inner()
+            .expect("no writer panics while it holds the lock");
+        let sums: String = files
+            .iter()
+            .map(|(name, digest)| format!("{}  {name}\n", digest.sha256))
+            .collect();
+        remove_leftovers(&self.root, &files)?;
+        write_atomic(&self.root.join(SUMS), sums.as_bytes())?;
+        write_atomic(&self.root.join(MANIFEST), manifest)?;
+        let journal = self.root.join(JOURNAL);
+        std::fs::remove_file(&journal).map_err(FileError::new("remove", &journal))?;
+        Ok(digest)
+    }
+
+    fn remember(&self, name: &str, digest: &Digest) {
+        let mut files = self
+            .files
+            .lock()
+            .expect("no writer panics while it holds the lock");
+        files.insert(name.to_owned(), digest.clone());
+    }
+}
+
+/// The lines of a `SHA256SUMS` file as (digest, name); `None` if a line is malformed.
+#[must_use]
+pub fn parse_sums(text: &str) -> Option<Vec<(&str, &str)>> {
+    text.lines()
+        .map(|line| {
+            line.split_once("  ")
+                .filter(|(digest, _)| digest.len() == 64)
+        })
+        .collect()
+}
+
+enum Present {
+    Nothing,
+    Ours(Plan),
+    Foreign(String),
+}
+
+fn present(root: &Path) -> Result<Present, FileError> {
+    match read_journal(root) {
+        Some((plan, _)) if plan.stage.is_empty() => return Ok(Present::Nothing),
+        Some((plan, _)) => return Ok(Present::Ours(plan)),
+        None => {}
+    }
+    if let Ok(text) = std::fs::read(root.join(MANIFEST))
+        && let Ok(manifest) = serde_json::from_slice::<AnyManifest>(&text)
+        && let Some((stage, _)) = manifest.schema.split_once(".v")
+    {
+        let (stage, fingerprint) = (stage.to_owned(), manifest.fingerprint);
+        return Ok(Present::Ours(Plan { stage, fingerprint }));
+    }
+    match std::fs::read_dir(root) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Present::Nothing),
+        Err(error) => Err(FileError::new("list", root)(error)),
+        Ok(entries) => {
+            // A run that was killed before its journal existed leaves at most temporaries.
+            let mut names = entries.flatten().map(|entry| entry.file_name());
+            let foreign = names.find(|name| !name.to_string_lossy().starts_with(TEMPORARY_PREFIX));
+            Ok(foreign.map_or(Present::Nothing, |name| {
+                Present::Foreign(name.to_string_lossy().into_owned())
+            }))
+        }
+    }
+}
+
+fn read_journal(root: &Path) -> Option<(Plan, Vec<Line<serde_json::Value>>)> {
+    let text = std::fs::read_to_string(root.join(JOURNAL)).ok()?;
+    let mut lines = text.lines();
+    let plan = match lines.next() {
+        // Killed between creating the journal and its first line.
+        None => Plan {
+            stage: String::new(),
+            fingerprint: String::new(),
+        },
+        Some(line) => serde_json::from_str(line).ok()?,
+    };
+    Some((
+        plan,
+        lines
+            .filter_map(|line| serde_json::from_str(line).ok())
+            .collect(),
+    ))
+}
+
+fn write_line(journal: &mut File, line: &impl Serialize) -> std::io::Result<()> {
+    let mut bytes = serde_json::to_vec(line)?;
+    bytes.push(b'\n');
+    journal.write_all(&bytes)
+}
+
+/// Removes what an output's own lists name: first the manifest, so that nobody takes the
+/// rest for whole.
+fn remove_output(root: &Path) -> Result<(), FileError> {
+    let mut names = vec![MANIFEST.to_owned()];
+    if let Ok(sums) = std::fs::read_to_string(root.join(SUMS)) {
+        let listed = parse_sums(&sums).unwrap_or_default();
+        names.extend(listed.into_iter().map(|(_, name)| name.to_owned()));
+    }
+    if let Some((_, lines)) = read_journal(root) {
+        names.extend(lines.into_iter().filter_map(|line| Some(line.file?.0)));
+    }
+    names.extend([SUMS.to_owned(), JOURNAL.to_owned()]);
+    for name in names.iter().filter(|name| stays_inside(name)) {
+        remove_if_there(&root.join(name))?;
+    }
+    Ok(())
+}
+
+/// Removes temporary files of killed runs, and items of the journal that the finished
+/// output does not list.
+fn remove_leftovers(root: &Path, files: &BTreeMap<String, Digest>) -> Result<(), FileError> {
+    if let Some((_, lines)) = read_journal(root) {
+        let journaled = lines.into_iter().filter_map(|line| Some(line.file?.0));
+        for name in journaled.filter(|name| !files.contains_key(name) && stays_inside(name)) {
+            remove_if_there(&root.join(name))?;
+        }
+    }
+    let mut directories: Vec<_> = files
+        .keys()
+        .filter_map(|name| root.join(name).parent().map(Path::to_owned))
+        .collect();
+    directories.push(root.to_owned());
+    directories.sort();
+    directories.dedup();
+    for directory in directories {
+        let entries = std::fs::read_dir(&directory).map_err(FileError::new("list", &directory))?;
+        for entry in entries.flatten() {
+            if entry
+                .file_name()
+                .to_string_lossy()
+                .starts_with(TEMPORARY_PREFIX)
+            {
+                remove_if_there(&entry.path())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A list of files comes from a disk: it must not lead out of its directory.
+fn stays_inside(name: &str) -> bool {
+    Path::new(name)
+        .components()
+        .all(|part| matches!(part, std::path::Component::Normal(_)))
+}
+
+fn remove_if_there(path: &Path) -> Result<(), FileError> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(FileError::new("remove", path)(error))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MANIFEST_TEXT: &[u8] = br#"{"schema":"things.v1","fingerprint":"abc"}"#;
+
+    fn begin(root: &Path, fingerprint: &str, overwrite: bool) -> Result<OutputDir, OutputError> {
+        OutputDir::begin(root, "things", fingerprint, overwrite)
+    }
+
+    fn fill(output: &OutputDir) {
+        let item = |_: Option<&Digest>| 7;
+        output
+            .finish_item("a", Some(("a.bin", b"A")), item)
+            .expect("written");
+    }
+
+    #[test]
+    fn an_interrupted_build_is_resumed_and_a_damaged_item_is_not_trusted() {
+        let dir = tempfile::tempdir().expect("a directory");
+        fill(&begin(dir.path(), "abc", false).expect("begun"));
+        let resumed = begin(dir.path(), "abc", false).expect("resumed");
+        assert_eq!(resumed.finished::<i32>("a"), Some(7));
+        assert_eq!(resumed.finished::<i32>("b"), None);
+        std::fs::write(dir.path().join("a.bin"), b"B").expect("damaged");
+        assert_eq!(resumed.finished::<i32>("a"), None);
+    }
+
+    #[test]
+    fn a_torn_journal_line_is_ignored() {
+        let dir = tempfile::tempdir().expect("a directory");
+        fill(&begin(dir.path(), "abc", false).expect("begun"));
+        let path = dir.path().join(JOURNAL);
+        let text = std::fs::read_to_string(&path).expect("read");
+        std::fs::write(&path, format!("{text}{{\"key\":\"b\",\"fi")).expect("torn");
+        let resumed = begin(dir.path(), "abc", false).expect("resumed");
+        resumed.finish_item("c", None, |_| 9).expect("written");
+        drop(resumed);
+        let again = begin(dir.path(), "abc", false).expect("resumed");
+        assert_eq!(again.finished::<i32>("a"), Some(7));
+        assert_eq!(again.finished::<i32>("c"), Some(9));
+    }
+
+    #[test]
+    fn a_complete_output_has_sums_and_no_journal() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let output = begin(dir.path(), "abc", false).expect("begun");
+        fill(&output);
+        std::fs::write(dir.path().join(format!("{TEMPORARY_PREFIX}x")), b"").expect("leftover");
+        output.complete(MANIFEST_TEXT).expect("completed");
+        let mut names: Vec<_> = std::fs::read_dir(dir.path())
+            .expect("listed")
+            .map(|entry| {
+                entry
+                    .expect("an entry")
+                    .file_name()
+                    .into_string()
+                    .expect("UTF-8")
+            })
+            .collect();
+        names.sort();
+        assert_eq!(names, [SUMS, "a.bin", MANIFEST]);
+        let sums = std::fs::read_to_string(dir.path().join(SUMS)).expect("read");
+        assert_eq!(parse_sums(&sums).map(|sums| sums.len()), Some(2));
+    }
+
+    #[test]
+    fn other_outputs_and_foreign_files_are_safe() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let output = begin(dir.path(), "abc", false).expect("begun");
+        fill(&output);
+        output.complete(MANIFEST_TEXT).expect("completed");
+        let refused = begin(dir.path(), "xyz", false).expect_err("another fingerprint");
+        assert!(refused.to_string().contains("--overwrite"), "{refused}");
+        assert!(dir.path().join("a.bin").exists());
+        let stage = OutputDir::begin(dir.path(), "others", "abc", true).expect_err("other stage");
+        assert!(matches!(stage, OutputError::Occupied { .. }));
+        drop(begin(dir.path(), "xyz", true).expect("overwritten"));
+        assert!(!dir.path().join("a.bin").exists());
+
+        let foreign = tempfile::tempdir().expect("a directory");
+        std::fs::write(foreign.path().join("thesis.doc"), b"text").expect("written");
+        let refused = begin(foreign.path(), "abc", true).expect_err("not ours");
+        assert!(refused.to_string().contains("thesis.doc"), "{refused}");
+    }
+
+    #[test]
+    fn two_runs_do_not_write_to_one_directory() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let _first = begin(dir.path(), "abc", false).expect("begun");
+        let second = begin(dir.path(), "abc", false).expect_err("busy");
+        assert!(matches!(second, OutputError::Busy { .. }));
+    }
+}
