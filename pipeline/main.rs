@@ -4,7 +4,12 @@ mod cli;
 mod config;
 mod console;
 mod failure;
+mod import_rsrp;
+mod inspect;
 mod rasterise;
+mod schemas;
+mod shard;
+mod verify;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -38,6 +43,11 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
     let config = config::merged(&cli.common, &cli.command)?;
     match &cli.command {
         Command::Rasterise(args) => rasterise::run(args, &config, console),
+        Command::ImportRsrp(args) => import_rsrp::run(args, &config, console),
+        Command::Shard(args) => shard::run(args, &config, console),
+        Command::Verify(args) => verify::run(args, console),
+        Command::Inspect(args) => inspect::run(args),
+        Command::Schemas(args) => schemas::run(args),
         Command::Config(_) => config::run(&config),
     }
 }

@@ -13,16 +13,20 @@
 //! 3. [`grid`], [`building`]: tiles and windows; tags, heights, defects
 //! 4. [`store`]: files that are whole or absent, `.npy`, `.npz`, seekable Zstandard
 //! 5. [`manifest`]: what stages write about their outputs
-//! 6. [`osm`], [`rasterise`]: extracts to buildings to height grids
+//! 6. [`osm`], [`rasterise`], [`radio_map`]: extracts to buildings to height grids; anyone's
+//!    radio maps to aligned RSRP
+//! 7. [`dataset`]: records, splits, shards; verifying and drawing them
 
 pub mod building;
 pub mod config;
 pub mod crs;
+pub mod dataset;
 pub mod error;
 pub mod grid;
 pub mod manifest;
 pub mod osm;
 pub mod progress;
+pub mod radio_map;
 pub mod rasterise;
 pub mod store;
 pub mod units;

@@ -4,9 +4,20 @@
 //! that the same inputs give the same manifest anywhere.
 
 mod common;
+mod dataset;
+mod files;
+mod rsrp;
 mod tiles;
 
 pub use common::{Input, ManifestError, Software, fingerprint, load, to_json};
+pub use dataset::{
+    DatasetConfig, DatasetManifest, Dropped, IndexEntry, RsrpHistogram, ShardEntry, SplitStatistics,
+};
+pub use files::{RsrpFile, StageFileError, TileFile, dropped_tiles};
+pub use rsrp::{
+    BaseStation, MapEntry, MaskCounts, Radio, RadioCount, RsrpManifest, RsrpMeta, SourceMap,
+    ValueKind,
+};
 pub use tiles::{
     BuildingCounts, BuiltBySource, TileEntry, TileMeta, TileStatistics, TilesConfig, TilesManifest,
     Verdict,

@@ -1,0 +1,143 @@
+//! `holescout inspect`: a dataset's figures, or one of its records.
+
+use holescout::dataset::{
+    Dataset, Grids, PanelStyle, Record, hole_share, panels_png, statistics_of,
+};
+use holescout::grid::TileId;
+use holescout::store::write_atomic;
+use holescout::units::Dbm;
+use ndarray::Array2;
+use serde_json::{Value, json};
+
+use crate::cli::InspectArgs;
+use crate::console::Report;
+use crate::failure::Failure;
+use crate::shard;
+
+pub(crate) fn run(args: &InspectArgs) -> Result<Report, Failure> {
+    let dataset = Dataset::open(&args.dataset)?;
+    if let Some(path) = &args.csv {
+        write_atomic(path, &records_csv(&dataset)?)?;
+    }
+    match &args.id {
+        Some(id) => one_record(&dataset, id, args),
+        None if args.png.is_some() => {
+            Err(Failure::input("--png shows one record: name it by --id"))
+        }
+        None => {
+            let manifest = dataset.manifest();
+            Report::new(shard::text(manifest), manifest)
+        }
+    }
+}
+
+fn one_record(dataset: &Dataset, id: &str, args: &InspectArgs) -> Result<Report, Failure> {
+    let id: TileId = id.parse().map_err(Failure::input)?;
+    let record = dataset.record(id)?;
+    let cells = dataset.manifest().cells as usize;
+    let grids = record.sound_grids(cells).map_err(Failure::input)?;
+    if let Some(path) = &args.png {
+        let threshold = args
+            .hole_threshold
+            .map_or(PanelStyle::default().hole_threshold, Dbm);
+        let style = PanelStyle {
+            scale: args.scale,
+            hole_threshold: threshold,
+        };
+        write_atomic(path, &panels_png(&record, &grids, style))?;
+    }
+    Report::new(text(&record, &grids), &as_json(&record, &grids))
+}
+
+fn text(record: &Record, grids: &Grids) -> String {
+    let statistics = statistics_of(record, grids);
+    let cells = statistics.cells;
+    let [lon, lat] = record.center_lon_lat;
+    let [east, north, up] = record.base_station.position_m;
+    format!(
+        "{} ({}), longitude {lon:.6}, latitude {lat:.6}\n\
+         cells: {} reached, {} unreached, {} building; {:.1} % of outdoor cells are holes\n\
+         highest building {:.1} m; base station {east:.1} m east, {north:.1} m north, {up:.1} m up, \
+         {} dBm per resource element at {:.3} GHz\n\
+         radio map {} ({}), {}\n",
+        record.id,
+        record.split,
+        cells.reached,
+        cells.unreached,
+        cells.building,
+        100.0 * hole_share(&statistics),
+        grids.height_m.iter().copied().fold(0.0, f32::max),
+        record.base_station.power_per_re_dbm.0,
+        record.radio.frequency_hz / 1e9,
+        record.provenance.radio_map.file,
+        record.provenance.radio_map.value_kind.name(),
+        record.radio.sionna_version,
+    )
+}
+
+/// The record with its arrays as nested lists instead of `.npy` bytes.
+fn as_json(record: &Record, grids: &Grids) -> Value {
+    fn rows<T: Copy + serde::Serialize>(array: &Array2<T>) -> Value {
+        json!(
+            array
+                .rows()
+                .into_iter()
+                .map(|row| row.to_vec())
+                .collect::<Vec<_>>()
+        )
+    }
+    let mut value = json!(record);
+    value["height_m"] = rows(&grids.height_m);
+    value["rsrp_dbm"] = rows(&grids.rsrp_dbm);
+    value["mask"] = rows(&grids.mask);
+    value
+}
+
+/// One line a record: what one would sort and filter by.
+fn records_csv(dataset: &Dataset) -> Result<Vec<u8>, Failure> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let header = [
+        "id",
+        "split",
+        "lon",
+        "lat",
+        "reached",
+        "unreached",
+        "building",
+        "hole_share",
+        "max_height_m",
+        "shard",
+        "frame",
+    ];
+    csv.write_record(header).map_err(Failure::running)?;
+    let manifest = dataset.manifest();
+    for entry in &manifest.records {
+        let record = dataset.record(entry.id)?;
+        let grids = record
+            .sound_grids(manifest.cells as usize)
+            .map_err(Failure::input)?;
+        let statistics = statistics_of(&record, &grids);
+        let [lon, lat] = record.center_lon_lat;
+        let row = [
+            entry.id.to_string(),
+            record.split.to_string(),
+            format!("{lon:.7}"),
+            format!("{lat:.7}"),
+            statistics.cells.reached.to_string(),
+            statistics.cells.unreached.to_string(),
+            statistics.cells.building.to_string(),
+            format!("{:.6}", hole_share(&statistics)),
+            grids
+                .height_m
+                .iter()
+                .copied()
+                .fold(0.0, f32::max)
+                .to_string(),
+            entry.shard.clone(),
+            entry.frame.to_string(),
+        ];
+        csv.write_record(row).map_err(Failure::running)?;
+    }
+    csv.into_inner()
+        .map_err(|error| Failure::running(error.to_string()))
+}

@@ -1,0 +1,73 @@
+//! `holescout schemas`: JSON Schemas generated from the serde types.
+
+use std::path::Path;
+
+use holescout::config::Config;
+use holescout::dataset::Record;
+use holescout::error::FileError;
+use holescout::manifest::{
+    DatasetManifest, RsrpManifest, RsrpMeta, TileMeta, TilesManifest, to_json,
+};
+use holescout::radio_map::RadioMapMetadata;
+use holescout::store::write_atomic;
+use schemars::{JsonSchema, generate::SchemaSettings};
+use serde_json::json;
+
+use crate::cli::SchemasArgs;
+use crate::console::Report;
+use crate::failure::Failure;
+
+pub(crate) fn run(args: &SchemasArgs) -> Result<Report, Failure> {
+    let schemas = all();
+    if args.check {
+        let stale: Vec<&str> = schemas
+            .iter()
+            .filter(|(name, text)| std::fs::read(args.out.join(name)).ok().as_ref() != Some(text))
+            .map(|(name, _)| name.as_str())
+            .collect();
+        if !stale.is_empty() {
+            let stale = stale.join(", ");
+            return Err(Failure::input(format!(
+                "{}: not the schemas of this program: {stale}; run `make schemas`",
+                args.out.display()
+            )));
+        }
+    } else {
+        let create = std::fs::create_dir_all(&args.out);
+        create.map_err(FileError::new("create", &args.out))?;
+        write(&args.out, &schemas)?;
+    }
+    let count = schemas.len();
+    let state = if args.check { "up to date" } else { "written" };
+    let summary = json!({ "stage": "schemas", "schemas": count, "state": state });
+    Report::new(
+        format!("{}: {count} schemas {state}\n", args.out.display()),
+        &summary,
+    )
+}
+
+fn write(directory: &Path, schemas: &[(String, Vec<u8>)]) -> Result<(), FileError> {
+    schemas
+        .iter()
+        .try_for_each(|(name, text)| write_atomic(&directory.join(name), text))
+}
+
+fn all() -> Vec<(String, Vec<u8>)> {
+    vec![
+        schema::<Config>("config.v1"),
+        schema::<RadioMapMetadata>(RadioMapMetadata::SCHEMA),
+        schema::<TileMeta>(TileMeta::SCHEMA),
+        schema::<TilesManifest>(TilesManifest::SCHEMA),
+        schema::<RsrpMeta>(RsrpMeta::SCHEMA),
+        schema::<RsrpManifest>(RsrpManifest::SCHEMA),
+        schema::<Record>(Record::SCHEMA),
+        schema::<DatasetManifest>(DatasetManifest::SCHEMA),
+    ]
+}
+
+fn schema<T: JsonSchema>(name: &str) -> (String, Vec<u8>) {
+    let schema = SchemaSettings::draft2020_12()
+        .into_generator()
+        .into_root_schema_for::<T>();
+    (format!("{name}.json"), to_json(&schema))
+}

@@ -1,0 +1,41 @@
+//! `holescout verify`.
+
+use std::fmt::Write;
+
+use holescout::dataset::verify;
+use serde_json::json;
+
+use crate::cli::VerifyArgs;
+use crate::console::{Console, Report};
+use crate::failure::Failure;
+
+/// More failures than this are counted, not printed.
+const MOST_PRINTED: usize = 100;
+
+pub(crate) fn run(args: &VerifyArgs, console: &Console) -> Result<Report, Failure> {
+    let verification = verify(&args.directory, console)?;
+    let failures = &verification.failures;
+    let summary = json!({
+        "stage": "verify",
+        "schema": verification.schema,
+        "files": verification.files,
+        "items": verification.items,
+        "failures": failures.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    });
+    let mut text = String::new();
+    for failure in failures.iter().take(MOST_PRINTED) {
+        writeln!(text, "{failure}").expect("writing to a string cannot fail");
+    }
+    let directory = args.directory.display();
+    if failures.is_empty() {
+        let (files, items) = (verification.files, verification.items);
+        writeln!(
+            text,
+            "{directory}: sound: {files} files and {items} items verified"
+        )
+        .expect("writing to a string cannot fail");
+        return Report::new(text, &summary);
+    }
+    let report = Report::new(text, &summary)?;
+    Ok(report.failed(format!("{directory}: {} failures", failures.len())))
+}

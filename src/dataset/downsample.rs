@@ -1,0 +1,156 @@
+//! Many cells to one.
+//!
+//! Downsampling 1 m maps by the linear mean with unreached cells counted as zero matches
+//! a direct trace at 4 m (0.00 ± 0.32 dB); a mean in dB is biased by −1 dB and more.
+
+use ndarray::{Array2, ArrayView2, s};
+
+use crate::config::{HeightDownsampling, RsrpDownsampling};
+use crate::radio_map::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
+use crate::units::Dbm;
+
+/// Heights of blocks of `factor` × `factor` cells.
+///
+/// # Panics
+/// If the sides are no multiples of the factor.
+#[must_use]
+pub fn downsample_heights(
+    heights: ArrayView2<'_, f32>,
+    factor: usize,
+    method: HeightDownsampling,
+) -> Array2<f32> {
+    blocks(heights.dim(), factor, |block| {
+        let cells = heights.slice(s![block.0.clone(), block.1.clone()]);
+        match method {
+            HeightDownsampling::Max => cells.iter().copied().fold(0.0, f32::max),
+            HeightDownsampling::Mean => {
+                let sum: f64 = cells.iter().copied().map(f64::from).sum();
+                (sum / cells.len() as f64) as f32
+            }
+            HeightDownsampling::Nearest => cells[[factor / 2, factor / 2]],
+        }
+    })
+}
+
+/// RSRP and mask of blocks of `factor` × `factor` cells. Only outdoor cells count: a block
+/// is a building if it has none, reached if one of them is, else unreached and at the floor.
+///
+/// # Panics
+/// If the arrays differ in shape or their sides are no multiples of the factor.
+#[must_use]
+pub fn downsample_rsrp(
+    rsrp_dbm: ArrayView2<'_, f32>,
+    mask: ArrayView2<'_, u8>,
+    factor: usize,
+    method: RsrpDownsampling,
+    floor: Dbm,
+) -> (Array2<f32>, Array2<u8>) {
+    assert_eq!(rsrp_dbm.dim(), mask.dim(), "RSRP and mask belong together");
+    let cells = blocks(rsrp_dbm.dim(), factor, |block| {
+        let values = rsrp_dbm.slice(s![block.0.clone(), block.1.clone()]);
+        let kinds = mask.slice(s![block.0.clone(), block.1.clone()]);
+        let outdoor = kinds.iter().filter(|&&kind| kind != MASK_BUILDING).count();
+        let reached = || {
+            let pairs = values.iter().zip(kinds.iter());
+            pairs
+                .filter(|(_, kind)| **kind == MASK_REACHED)
+                .map(|(value, _)| f64::from(*value))
+        };
+        let count = reached().count();
+        if outdoor == 0 {
+            return (floor.0 as f32, MASK_BUILDING);
+        }
+        if count == 0 {
+            return (floor.0 as f32, MASK_UNREACHED);
+        }
+        let level = match method {
+            RsrpDownsampling::LinearMean if count == 1 && outdoor == 1 => {
+                // Exactly the value, without the detour over milliwatts.
+                reached().next().unwrap_or(floor.0)
+            }
+            RsrpDownsampling::LinearMean => {
+                let sum: f64 = reached().map(|value| Dbm(value).to_milliwatts()).sum();
+                Dbm::from_milliwatts(sum / outdoor as f64).0
+            }
+            RsrpDownsampling::MeanDb => reached().sum::<f64>() / count as f64,
+            RsrpDownsampling::Nearest => {
+                let center = [factor / 2, factor / 2];
+                return match kinds[center] {
+                    MASK_REACHED => (values[center], MASK_REACHED),
+                    kind => (floor.0 as f32, kind),
+                };
+            }
+        };
+        (level as f32, MASK_REACHED)
+    });
+    (cells.mapv(|(value, _)| value), cells.mapv(|(_, kind)| kind))
+}
+
+type Block = (std::ops::Range<usize>, std::ops::Range<usize>);
+
+fn blocks<T>(
+    (rows, columns): (usize, usize),
+    factor: usize,
+    mut of_block: impl FnMut(Block) -> T,
+) -> Array2<T> {
+    let whole = rows % factor == 0 && columns % factor == 0;
+    assert!(
+        whole,
+        "{rows} × {columns} cells are no whole blocks of {factor}"
+    );
+    Array2::from_shape_fn((rows / factor, columns / factor), |(row, column)| {
+        let range = |index: usize| index * factor..(index + 1) * factor;
+        of_block((range(row), range(column)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    const FLOOR: Dbm = Dbm(-160.0);
+
+    #[test]
+    fn heights() {
+        let heights = array![[0.0, 4.0, 1.0, 1.0], [8.0, 0.0, 1.0, 1.0]];
+        let by = |method| downsample_heights(heights.view(), 2, method);
+        assert_eq!(by(HeightDownsampling::Max), array![[8.0, 1.0]]);
+        assert_eq!(by(HeightDownsampling::Mean), array![[3.0, 1.0]]);
+        assert_eq!(by(HeightDownsampling::Nearest), array![[0.0, 1.0]]);
+    }
+
+    #[test]
+    fn rsrp_is_averaged_as_power_over_outdoor_cells() {
+        let rsrp = array![
+            [-90.0, -160.0, -100.0, -160.0],
+            [-160.0, -160.0, -160.0, -160.0]
+        ];
+        // Block 1: reached, unreached, building, building. Block 2: one outdoor cell, reached.
+        let mask = array![[0, 2, 0, 1], [1, 1, 1, 1]];
+        let by = |method| downsample_rsrp(rsrp.view(), mask.view(), 2, method, FLOOR);
+        let (mean, kinds) = by(RsrpDownsampling::LinearMean);
+        assert!(
+            (mean[[0, 0]] + 93.0103).abs() < 1e-4,
+            "half the power of -90 dBm: {mean}"
+        );
+        assert_eq!((mean[[0, 1]], kinds), (-100.0, array![[0, 0]]));
+        assert_eq!(by(RsrpDownsampling::MeanDb).0, array![[-90.0, -100.0]]);
+        let (nearest, kinds) = by(RsrpDownsampling::Nearest);
+        assert_eq!((nearest, kinds), (array![[-160.0, -160.0]], array![[1, 1]]));
+    }
+
+    #[test]
+    fn blocks_without_a_path_or_without_outdoors() {
+        let rsrp = Array2::from_elem((2, 4), -160.0);
+        let mask = array![[2, 1, 1, 1], [1, 1, 1, 1]];
+        let (values, kinds) = downsample_rsrp(
+            rsrp.view(),
+            mask.view(),
+            2,
+            RsrpDownsampling::LinearMean,
+            FLOOR,
+        );
+        assert_eq!((values, kinds), (array![[-160.0, -160.0]], array![[2, 1]]));
+    }
+}

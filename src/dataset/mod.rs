@@ -1,0 +1,24 @@
+//! Datasets: aligned tiles and radio maps become records, records become shards.
+//!
+//! A dataset is a directory of `train/`, `val/` and `test/` with shards in the Zstandard
+//! seekable format, one MessagePack record a frame, beside `manifest.json`, `SHA256SUMS`,
+//! a card and the licence notice. Everything is a pure function of inputs and configuration.
+
+mod card;
+mod downsample;
+mod read;
+mod record;
+mod render;
+mod split;
+mod stage;
+mod statistics;
+mod verify;
+
+pub use downsample::{downsample_heights, downsample_rsrp};
+pub use read::{Dataset, ReadError};
+pub use record::{Grids, Provenance, Record, RecordError};
+pub use render::{PanelStyle, panels_png};
+pub use split::{SplitAssignment, assign_splits};
+pub use stage::{ShardError, ShardJob, build_dataset};
+pub use statistics::{hole_share, statistics_of};
+pub use verify::{Verification, VerifyFailure, verify};

@@ -1,0 +1,326 @@
+//! One record: a MessagePack map with named fields; its arrays are `.npy` files as byte
+//! strings, so that element type and shape travel along.
+
+use ndarray::Array2;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_bytes::ByteBuf;
+
+use crate::config::Split;
+use crate::grid::TileId;
+use crate::manifest::{BaseStation, BuiltBySource, Radio, SourceMap};
+use crate::radio_map::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
+use crate::store::{Element, NpyError, npy_bytes, read_npy};
+use crate::units::Dbm;
+
+/// Where a record comes from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// The radio map's file.
+    pub radio_map: SourceMap,
+    /// SHA-256 of the tile's file.
+    pub tile_sha256: String,
+    /// SHA-256 of the imported map's file.
+    pub rsrp_sha256: String,
+    /// Built-up cells of the height grid (before downsampling) by source of height.
+    pub built_cells: BuiltBySource,
+    /// Licence, as an SPDX identifier.
+    pub licence: String,
+    /// Attribution that must stay with the record.
+    pub attribution: String,
+}
+
+/// A record, as it lies in a shard.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Record {
+    /// Always `record.v1`.
+    pub schema: String,
+    /// The tile.
+    pub id: TileId,
+    /// The split.
+    pub split: Split,
+    /// EPSG code of the projection.
+    pub epsg: u32,
+    /// Easting and northing of the centre, in metres.
+    pub center_m: [f64; 2],
+    /// Longitude and latitude of the centre, in degrees.
+    pub center_lon_lat: [f64; 2],
+    /// Side of a cell, in metres.
+    pub cell_m: f64,
+    /// Always `north_first`: row 0 is the northernmost, column 0 the westernmost.
+    pub row_order: String,
+    /// `.npy`, float32 `[n, n]`: height of the highest building in metres, 0 where there is none.
+    #[schemars(with = "Vec<u8>")]
+    pub height_m: ByteBuf,
+    /// `.npy`, float32 `[n, n]`: RSRP in dBm per resource element.
+    #[schemars(with = "Vec<u8>")]
+    pub rsrp_dbm: ByteBuf,
+    /// `.npy`, uint8 `[n, n]`: 0 outdoor reached, 1 building, 2 outdoor unreached.
+    #[schemars(with = "Vec<u8>")]
+    pub mask: ByteBuf,
+    /// What cells without a path hold, in dBm.
+    pub floor_dbm: Dbm,
+    /// Cells at least this high are buildings in the mask, in metres.
+    pub flight_height_m: f64,
+    /// The transmitter.
+    pub base_station: BaseStation,
+    /// How the map was computed.
+    pub radio: Radio,
+    /// Where it comes from.
+    pub provenance: Provenance,
+}
+
+/// The arrays of a record, `[n, n]`, row 0 north, column 0 west.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Grids {
+    /// Heights in metres.
+    pub height_m: Array2<f32>,
+    /// RSRP in dBm per resource element.
+    pub rsrp_dbm: Array2<f32>,
+    /// 0 outdoor reached, 1 building, 2 outdoor unreached.
+    pub mask: Array2<u8>,
+}
+
+/// Why bytes are no record, or no sound one.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// No MessagePack of this schema.
+    #[error("no record of schema record.v1: {0}")]
+    Encoding(String),
+    /// An array is damaged.
+    #[error("array {field}: {source}")]
+    Array {
+        /// The field.
+        field: &'static str,
+        /// What is wrong with it.
+        source: NpyError,
+    },
+    /// Values that contradict the schema's meaning.
+    #[error("{field}: found {found}, expected {expected}")]
+    Value {
+        /// The field.
+        field: &'static str,
+        /// What is there.
+        found: String,
+        /// What should be.
+        expected: String,
+    },
+}
+
+impl Record {
+    /// The value of `schema`.
+    pub const SCHEMA: &'static str = "record.v1";
+
+    /// Puts arrays into the byte strings of a record.
+    #[must_use]
+    pub fn with_grids(mut self, grids: &Grids) -> Self {
+        self.height_m = ByteBuf::from(npy_bytes(&grids.height_m));
+        self.rsrp_dbm = ByteBuf::from(npy_bytes(&grids.rsrp_dbm));
+        self.mask = ByteBuf::from(npy_bytes(&grids.mask));
+        self
+    }
+
+    /// The MessagePack bytes, a map with the fields' names in the order of declaration.
+    ///
+    /// # Panics
+    /// Never: writing to memory cannot fail.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        rmp_serde::to_vec_named(self).expect("writing to memory cannot fail")
+    }
+
+    /// Reads a record; the arrays are not looked at yet.
+    ///
+    /// # Errors
+    /// [`RecordError::Encoding`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, RecordError> {
+        let record: Self = rmp_serde::from_slice(bytes)
+            .map_err(|error| RecordError::Encoding(error.to_string()))?;
+        if record.schema == Self::SCHEMA {
+            Ok(record)
+        } else {
+            Err(RecordError::Encoding(format!(
+                "schema is {:?}",
+                record.schema
+            )))
+        }
+    }
+
+    /// The arrays, each a square matrix of `cells` × `cells`.
+    ///
+    /// # Errors
+    /// [`RecordError::Array`] and [`RecordError::Value`].
+    pub fn grids(&self, cells: usize) -> Result<Grids, RecordError> {
+        fn matrix<T: Element>(
+            field: &'static str,
+            bytes: &[u8],
+            cells: usize,
+        ) -> Result<Array2<T>, RecordError> {
+            let array: Array2<T> = read_npy(bytes)
+                .and_then(|npy| npy.to_array2())
+                .map_err(|source| RecordError::Array { field, source })?;
+            if array.dim() == (cells, cells) {
+                return Ok(array);
+            }
+            Err(RecordError::Value {
+                field,
+                found: format!("shape {:?}", array.dim()),
+                expected: format!("{:?}", (cells, cells)),
+            })
+        }
+        Ok(Grids {
+            height_m: matrix("height_m", &self.height_m, cells)?,
+            rsrp_dbm: matrix("rsrp_dbm", &self.rsrp_dbm, cells)?,
+            mask: matrix("mask", &self.mask, cells)?,
+        })
+    }
+
+    /// The arrays, after checking that their values mean what the schema says.
+    ///
+    /// # Errors
+    /// As [`Record::grids`]; the first value that is wrong is named with its cell.
+    pub fn sound_grids(&self, cells: usize) -> Result<Grids, RecordError> {
+        let grids = self.grids(cells)?;
+        let wrong = |field, found: String, at: (usize, usize), expected: &str| {
+            let found = format!("{found} at row {}, column {}", at.0, at.1);
+            Err(RecordError::Value {
+                field,
+                found,
+                expected: expected.to_owned(),
+            })
+        };
+        let floor = self.floor_dbm.0 as f32;
+        for (at, &height) in grids.height_m.indexed_iter() {
+            let (rsrp, kind) = (grids.rsrp_dbm[at], grids.mask[at]);
+            if !(height >= 0.0 && height.is_finite()) {
+                return wrong("height_m", height.to_string(), at, "0 m or more");
+            }
+            if !rsrp.is_finite() {
+                return wrong("rsrp_dbm", rsrp.to_string(), at, "a finite level");
+            }
+            let is_building = f64::from(height) >= self.flight_height_m;
+            match kind {
+                MASK_BUILDING if is_building => {}
+                MASK_REACHED if !is_building => {}
+                MASK_UNREACHED if !is_building && rsrp == floor => {}
+                MASK_UNREACHED if !is_building => {
+                    return wrong(
+                        "rsrp_dbm",
+                        rsrp.to_string(),
+                        at,
+                        "the floor where mask is 2",
+                    );
+                }
+                _ => {
+                    let found = format!("{kind} under a height of {height} m");
+                    let expected =
+                        "1 exactly where a building reaches the flight height, else 0 or 2";
+                    return wrong("mask", found, at, expected);
+                }
+            }
+        }
+        Ok(grids)
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::manifest::ValueKind;
+    use crate::store::sha256_bytes;
+    use ndarray::array;
+
+    pub(crate) fn example() -> (Record, Grids) {
+        let grids = Grids {
+            height_m: array![[0.0, 9.0], [0.0, 1.5]],
+            rsrp_dbm: array![[-90.0, -160.0], [-160.0, -101.5]],
+            mask: array![[0, 1], [2, 0]],
+        };
+        let id: TileId = "utm10n_e598016_n4128768".parse().expect("an id");
+        let digest = sha256_bytes(b"map");
+        let record = Record {
+            schema: Record::SCHEMA.to_owned(),
+            id,
+            split: Split::Train,
+            epsg: 32610,
+            center_m: id.center(),
+            center_lon_lat: id.lon_lat(),
+            cell_m: 4.0,
+            row_order: "north_first".to_owned(),
+            height_m: ByteBuf::new(),
+            rsrp_dbm: ByteBuf::new(),
+            mask: ByteBuf::new(),
+            floor_dbm: Dbm(-160.0),
+            flight_height_m: 2.0,
+            base_station: BaseStation {
+                position_m: [1.0, 2.0, 12.0],
+                power_per_re_dbm: Dbm(15.0),
+                pattern: "iso".to_owned(),
+            },
+            radio: Radio {
+                frequency_hz: 3.5e9,
+                rx_height_m: 2.0,
+                sionna_version: "sionna-rt 2.2.0".to_owned(),
+                samples_per_tx: 15_000_000,
+                max_depth: 5,
+                refraction: false,
+                diffraction: true,
+            },
+            provenance: Provenance {
+                radio_map: SourceMap {
+                    file: "map.npz".to_owned(),
+                    digest: digest.clone(),
+                    value_kind: ValueKind::PathGainDb,
+                },
+                tile_sha256: digest.sha256.clone(),
+                rsrp_sha256: digest.sha256,
+                built_cells: BuiltBySource::default(),
+                licence: "ODbL-1.0".to_owned(),
+                attribution: "© OpenStreetMap contributors".to_owned(),
+            },
+        };
+        (record.with_grids(&grids), grids)
+    }
+
+    #[test]
+    fn records_round_trip() {
+        let (record, grids) = example();
+        let decoded = Record::decode(&record.encode()).expect("a record");
+        assert_eq!(decoded, record);
+        assert_eq!(decoded.sound_grids(2).expect("sound"), grids);
+    }
+
+    #[test]
+    fn unsound_records_are_named() {
+        let (record, grids) = example();
+        let error = |change: &dyn Fn(&mut Grids)| {
+            let mut grids = grids.clone();
+            change(&mut grids);
+            let unsound = record.clone().with_grids(&grids).sound_grids(2);
+            unsound.expect_err("unsound").to_string()
+        };
+        assert!(error(&|grids| grids.height_m[[0, 0]] = f32::NAN).contains("height_m"));
+        assert!(error(&|grids| grids.rsrp_dbm[[0, 0]] = f32::INFINITY).contains("rsrp_dbm"));
+        assert!(error(&|grids| grids.rsrp_dbm[[1, 0]] = -99.0).contains("floor"));
+        assert!(error(&|grids| grids.mask[[0, 0]] = 1).contains("mask"));
+        assert!(error(&|grids| grids.mask[[0, 1]] = 0).contains("mask"));
+        assert!(error(&|grids| grids.mask[[0, 0]] = 3).contains("row 0, column 0"));
+        assert!(matches!(record.grids(3), Err(RecordError::Value { .. })));
+        assert!(matches!(
+            Record::decode(b"\x80"),
+            Err(RecordError::Encoding(_))
+        ));
+        let mut damaged = record.clone();
+        damaged.mask = ByteBuf::from(vec![1, 2, 3]);
+        assert!(matches!(
+            damaged.grids(2),
+            Err(RecordError::Array { field: "mask", .. })
+        ));
+        let mut future = record;
+        future.schema = "record.v2".to_owned();
+        assert!(Record::decode(&future.encode()).is_err());
+    }
+}

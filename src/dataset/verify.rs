@@ -1,0 +1,402 @@
+//! `holescout verify`: is every byte what it should be, and does it make sense?
+//!
+//! Works on the output of every stage: checksums and manifests are the same everywhere;
+//! tiles, maps and records are each read and compared with what their manifest says.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::read::ShardReader;
+use super::record::Record;
+use super::statistics;
+use crate::config::Split;
+use crate::grid::TileId;
+use crate::manifest::{
+    DatasetManifest, ManifestError, RsrpFile, RsrpManifest, ShardEntry, SplitStatistics, TileFile,
+    TilesManifest, load,
+};
+use crate::progress::Progress;
+use crate::store::{MANIFEST, SUMS, parse_sums, sha256_file};
+
+/// Something that is wrong.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct VerifyFailure {
+    /// The file, relative to the directory.
+    pub file: String,
+    /// The record in it, if a single one is to blame.
+    pub record: Option<String>,
+    /// What is wrong: expected and found.
+    pub reason: String,
+}
+
+impl std::fmt::Display for VerifyFailure {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.record {
+            Some(record) => write!(f, "{}: {record}: {}", self.file, self.reason),
+            None => write!(f, "{}: {}", self.file, self.reason),
+        }
+    }
+}
+
+/// The result of verifying a directory.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Verification {
+    /// The manifest's schema: what kind of output this is.
+    pub schema: String,
+    /// Files whose checksums were compared.
+    pub files: usize,
+    /// Tiles, maps or records that were read.
+    pub items: usize,
+    /// All that is wrong; empty if the directory is sound.
+    pub failures: Vec<VerifyFailure>,
+}
+
+/// Verifies the output of any stage.
+///
+/// # Errors
+/// [`ManifestError`] if there is no manifest that could be verified, for instance after an
+/// interrupted run. Everything else that is wrong is listed in the result.
+pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, ManifestError> {
+    let found = schema(root);
+    let mut failures = Vec::new();
+    let files = check_sums(root, &mut failures, progress);
+    let items = match found.as_deref() {
+        Some(TilesManifest::SCHEMA) => {
+            let (manifest, _) = load::<TilesManifest>(root, "rasterise", TilesManifest::SCHEMA)?;
+            check_items(&manifest.tiles, progress, &mut failures, |entry| {
+                let read = TileFile::read(root, entry).map_err(|error| error.to_string());
+                let matches = read.map(|tile| tile.meta.id == entry.id);
+                (
+                    &entry.file,
+                    demand(matches, "tile id differs from the manifest's"),
+                )
+            })
+        }
+        Some(RsrpManifest::SCHEMA) => {
+            let (manifest, _) = load::<RsrpManifest>(root, "import-rsrp", RsrpManifest::SCHEMA)?;
+            check_items(&manifest.maps, progress, &mut failures, |entry| {
+                let read = RsrpFile::read(root, entry).map_err(|error| error.to_string());
+                let matches = read.map(|map| map.meta.id == entry.id);
+                (
+                    &entry.file,
+                    demand(matches, "tile id differs from the manifest's"),
+                )
+            })
+        }
+        _ => {
+            let (manifest, _) = load::<DatasetManifest>(root, "shard", DatasetManifest::SCHEMA)?;
+            check_dataset(root, &manifest, progress, &mut failures)
+        }
+    };
+    failures.sort();
+    failures.dedup();
+    Ok(Verification {
+        schema: found.unwrap_or_default(),
+        files,
+        items,
+        failures,
+    })
+}
+
+fn schema(root: &Path) -> Option<String> {
+    let text = std::fs::read(root.join(MANIFEST)).ok()?;
+    let value: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    Some(value.get("schema")?.as_str()?.to_owned())
+}
+
+fn failure(file: &str, reason: impl Into<String>) -> VerifyFailure {
+    VerifyFailure {
+        file: file.to_owned(),
+        record: None,
+        reason: reason.into(),
+    }
+}
+
+fn demand(holds: Result<bool, String>, otherwise: &str) -> Result<(), String> {
+    if holds? {
+        Ok(())
+    } else {
+        Err(otherwise.to_owned())
+    }
+}
+
+/// Every listed file has its checksum, and every file is listed.
+fn check_sums(root: &Path, failures: &mut Vec<VerifyFailure>, progress: &dyn Progress) -> usize {
+    let text = std::fs::read_to_string(root.join(SUMS)).unwrap_or_default();
+    let Some(sums) = parse_sums(&text).filter(|sums| !sums.is_empty()) else {
+        failures.push(failure(SUMS, "missing, empty or malformed"));
+        return 0;
+    };
+    progress.begin("comparing checksums", Some(sums.len() as u64));
+    let wrong: Vec<VerifyFailure> = sums
+        .par_iter()
+        .filter_map(|(expected, file)| {
+            let found = sha256_file(&root.join(file));
+            progress.advance(1);
+            match found {
+                Ok(digest) if digest.sha256 == *expected => None,
+                Ok(digest) => {
+                    let found = digest.sha256;
+                    Some(failure(
+                        file,
+                        format!("SHA-256 is {found}, expected {expected}"),
+                    ))
+                }
+                Err(error) => Some(failure(file, error.source.to_string())),
+            }
+        })
+        .collect();
+    progress.end();
+    failures.extend(wrong);
+    let listed: BTreeSet<PathBuf> = sums.iter().map(|(_, file)| PathBuf::from(file)).collect();
+    if !listed.contains(Path::new(MANIFEST)) {
+        failures.push(failure(SUMS, format!("does not list {MANIFEST}")));
+    }
+    for file in files_below(root) {
+        let relative = file.strip_prefix(root).unwrap_or(&file);
+        if relative != Path::new(SUMS) && !listed.contains(relative) {
+            let name = relative.to_string_lossy();
+            failures.push(failure(
+                &name,
+                format!("not listed in {SUMS}: not part of this output"),
+            ));
+        }
+    }
+    sums.len()
+}
+
+fn files_below(directory: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(directory).into_iter().flatten().flatten();
+    entries
+        .flat_map(|entry| {
+            let path = entry.path();
+            if path.is_dir() {
+                files_below(&path)
+            } else {
+                vec![path]
+            }
+        })
+        .collect()
+}
+
+fn check_items<'a, T: Sync>(
+    entries: &'a [T],
+    progress: &dyn Progress,
+    failures: &mut Vec<VerifyFailure>,
+    check: impl Fn(&'a T) -> (&'a String, Result<(), String>) + Sync,
+) -> usize {
+    progress.begin("reading items", Some(entries.len() as u64));
+    let wrong: Vec<VerifyFailure> = entries
+        .par_iter()
+        .filter_map(|entry| {
+            let (file, result) = check(entry);
+            progress.advance(1);
+            result.err().map(|reason| failure(file, reason))
+        })
+        .collect();
+    progress.end();
+    failures.extend(wrong);
+    entries.len()
+}
+
+/// What a shard was found to hold.
+struct ReadShard {
+    ids: Vec<Option<TileId>>,
+    statistics: Option<SplitStatistics>,
+    failures: Vec<VerifyFailure>,
+}
+
+fn check_dataset(
+    root: &Path,
+    manifest: &DatasetManifest,
+    progress: &dyn Progress,
+    failures: &mut Vec<VerifyFailure>,
+) -> usize {
+    progress.begin("reading records", Some(manifest.records.len() as u64));
+    let read: Vec<ReadShard> = manifest
+        .shards
+        .par_iter()
+        .map(|entry| read_shard(root, entry, manifest, progress))
+        .collect();
+    progress.end();
+
+    let mut sums: BTreeMap<Split, Option<SplitStatistics>> = BTreeMap::new();
+    let mut frames: BTreeMap<(&str, usize), TileId> = BTreeMap::new();
+    let mut splits: BTreeMap<TileId, Split> = BTreeMap::new();
+    for (entry, shard) in manifest.shards.iter().zip(&read) {
+        failures.extend(shard.failures.iter().cloned());
+        if let Some(statistics) = &shard.statistics {
+            statistics::add(sums.entry(entry.split).or_default(), statistics);
+        }
+        for (frame, id) in shard.ids.iter().enumerate() {
+            let Some(id) = *id else { continue };
+            frames.insert((&entry.file, frame), id);
+            if splits.insert(id, entry.split).is_some() {
+                failures.push(VerifyFailure {
+                    record: Some(id.to_string()),
+                    ..failure(&entry.file, "stands in the dataset more than once")
+                });
+            }
+        }
+    }
+    for entry in &manifest.records {
+        let found = frames.remove(&(entry.shard.as_str(), entry.frame as usize));
+        if found != Some(entry.id) {
+            let found = found.map_or_else(|| "nothing".to_owned(), |id| id.to_string());
+            failures.push(VerifyFailure {
+                record: Some(entry.id.to_string()),
+                ..failure(&entry.shard, format!("frame {} holds {found}", entry.frame))
+            });
+        }
+    }
+    for ((file, frame), id) in frames {
+        failures.push(VerifyFailure {
+            record: Some(id.to_string()),
+            ..failure(
+                file,
+                format!("frame {frame} is not in the manifest's index"),
+            )
+        });
+    }
+    let all_read = read.iter().all(|shard| shard.failures.is_empty());
+    let sums: BTreeMap<Split, SplitStatistics> = sums
+        .into_iter()
+        .filter_map(|(split, sum)| Some((split, sum?)))
+        .collect();
+    if all_read && sums != manifest.statistics {
+        failures.push(failure(
+            MANIFEST,
+            "statistics differ from those of the records",
+        ));
+    }
+    check_separation(&splits, manifest, failures);
+    splits.len()
+}
+
+fn read_shard(
+    root: &Path,
+    entry: &ShardEntry,
+    manifest: &DatasetManifest,
+    progress: &dyn Progress,
+) -> ReadShard {
+    let mut read = ReadShard {
+        ids: Vec::new(),
+        statistics: None,
+        failures: Vec::new(),
+    };
+    let digest = sha256_file(&root.join(&entry.file));
+    if digest.as_ref().ok() != Some(&entry.digest) {
+        let found = digest.map_or_else(|error| error.source.to_string(), |found| found.to_string());
+        let reason = format!("is {found}, the manifest says {}", entry.digest);
+        read.failures.push(failure(&entry.file, reason));
+    }
+    let mut shard = match ShardReader::open(&root.join(&entry.file)) {
+        Ok(shard) => shard,
+        Err(error) => {
+            read.failures.push(failure(&entry.file, error.to_string()));
+            return read;
+        }
+    };
+    if shard.len() != entry.records as usize {
+        let reason = format!(
+            "{} frames, the manifest says {}",
+            shard.len(),
+            entry.records
+        );
+        read.failures.push(failure(&entry.file, reason));
+    }
+    for frame in 0..shard.len() {
+        let checked = shard
+            .record(frame)
+            .map_err(|error| (format!("frame {frame}"), error.to_string()))
+            .and_then(|record| {
+                let statistics = check_record(&record, entry, manifest)
+                    .map_err(|reason| (record.id.to_string(), reason))?;
+                Ok((record.id, statistics))
+            });
+        progress.advance(1);
+        match checked {
+            Ok((id, of_record)) => {
+                statistics::add(&mut read.statistics, &of_record);
+                read.ids.push(Some(id));
+            }
+            Err((record, reason)) => {
+                let record = Some(record);
+                read.failures.push(VerifyFailure {
+                    record,
+                    ..failure(&entry.file, reason)
+                });
+                read.ids.push(None);
+            }
+        }
+    }
+    read
+}
+
+/// A record's values, and its agreement with the manifest.
+fn check_record(
+    record: &Record,
+    entry: &ShardEntry,
+    manifest: &DatasetManifest,
+) -> Result<SplitStatistics, String> {
+    let grids = record
+        .sound_grids(manifest.cells as usize)
+        .map_err(|error| error.to_string())?;
+    let same = |holds: bool, field: &str| {
+        demand(Ok(holds), &format!("{field} differs from the manifest's"))
+    };
+    same(record.split == entry.split, "split")?;
+    same(
+        record.cell_m.to_bits() == manifest.cell_m.to_bits(),
+        "cell_m",
+    )?;
+    same(
+        record.epsg == manifest.epsg && record.id.utm.epsg() == manifest.epsg,
+        "epsg",
+    )?;
+    same(
+        record.floor_dbm == manifest.config.rsrp.floor_dbm,
+        "floor_dbm",
+    )?;
+    let flight_height = manifest.config.buildings.flight_height_m;
+    same(
+        record.flight_height_m.to_bits() == flight_height.to_bits(),
+        "flight_height_m",
+    )?;
+    demand(
+        Ok(record.center_m == record.id.center()),
+        "center_m differs from the id's",
+    )?;
+    Ok(statistics::statistics_of(record, &grids))
+}
+
+/// No cell of a record of one split lies in a record of another.
+fn check_separation(
+    splits: &BTreeMap<TileId, Split>,
+    manifest: &DatasetManifest,
+    failures: &mut Vec<VerifyFailure>,
+) {
+    let grid = &manifest.config.grid;
+    let apart = if manifest.config.split.strict {
+        grid.side_m
+    } else {
+        grid.crop_m
+    };
+    // Names are sorted by easting, so only a stretch of neighbours can overlap.
+    let tiles: Vec<(&TileId, &Split)> = splits.iter().collect();
+    for (index, (a, split_a)) in tiles.iter().enumerate() {
+        let near = tiles[index + 1..].iter().take_while(|(b, _)| {
+            a.utm == b.utm && b.easting.abs_diff(a.easting) < u64::from(apart)
+        });
+        for (b, split_b) in near {
+            if split_a != split_b && a.overlaps(**b, apart) {
+                failures.push(VerifyFailure {
+                    record: Some(a.to_string()),
+                    ..failure(MANIFEST, format!("({split_a}) overlaps {b} ({split_b})"))
+                });
+            }
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! Manifest of a dataset (`dataset.v1`).
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{BuildingCounts, BuiltBySource, Input, MaskCounts, Software};
+use crate::building::{Action, Defect};
+use crate::config::{
+    BuildingsConfig, FilterConfig, GridConfig, RsrpConfig, ShardConfig, Split, SplitConfig,
+};
+use crate::grid::TileId;
+use crate::store::Digest;
+use crate::units::Dbm;
+
+/// The sections of the configuration that a dataset depends on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DatasetConfig {
+    /// `[grid]`, as the tiles were rasterised with.
+    pub grid: GridConfig,
+    /// `[buildings]`, as the tiles were rasterised with.
+    pub buildings: BuildingsConfig,
+    /// `[filter]`, as the tiles were rasterised with.
+    pub filter: FilterConfig,
+    /// `[rsrp]`, as the maps were imported with.
+    pub rsrp: RsrpConfig,
+    /// `[shard]`.
+    pub shard: ShardConfig,
+    /// `[split]`.
+    pub split: SplitConfig,
+}
+
+/// One shard file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ShardEntry {
+    /// Path within the dataset.
+    pub file: String,
+    /// The split it belongs to.
+    pub split: Split,
+    /// Size and SHA-256.
+    pub digest: Digest,
+    /// Number of records, one a frame.
+    pub records: u32,
+}
+
+/// Where a record is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct IndexEntry {
+    /// The tile.
+    pub id: TileId,
+    /// Path of the shard within the dataset.
+    pub shard: String,
+    /// Index of the frame in the shard, from 0.
+    pub frame: u32,
+}
+
+/// Counts of RSRP values of reached outdoor cells.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RsrpHistogram {
+    /// Lower end of the first bin, in dBm; lower values are counted there too.
+    pub first_dbm: i32,
+    /// Width of a bin, in dB.
+    pub step_db: i32,
+    /// Values in each bin; higher ones than the last bin's are counted there too.
+    pub counts: Vec<u64>,
+}
+
+/// Figures of a split.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SplitStatistics {
+    /// Number of records.
+    pub records: u64,
+    /// Cells of all records by the mask's value.
+    pub cells: MaskCounts,
+    /// Coverage holes at [`SplitStatistics::hole_threshold_dbm`]: outdoor cells below it,
+    /// unreached ones included.
+    pub holes: u64,
+    /// The threshold that `holes` was counted with.
+    pub hole_threshold_dbm: Dbm,
+    /// RSRP of reached outdoor cells.
+    pub rsrp: RsrpHistogram,
+    /// Built-up cells of the height grids (before downsampling) by source of height.
+    pub built_cells: BuiltBySource,
+}
+
+/// What did not become a record, and why.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Dropped {
+    /// Tiles without a radio map.
+    pub tiles_without_map: u64,
+    /// Rejected radio maps by reason.
+    pub rejected_maps: BTreeMap<String, u64>,
+    /// Records left out since they overlap a record of another split.
+    pub overlapping_another_split: Vec<TileId>,
+    /// Objects of OpenStreetMap skipped, repaired and left out, by reason.
+    pub osm_objects: BTreeMap<Action, BTreeMap<Defect, u64>>,
+}
+
+/// `DATASET/manifest.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DatasetManifest {
+    /// Always `dataset.v1`.
+    pub schema: String,
+    /// SHA-256 over all that the output depends on.
+    pub fingerprint: String,
+    /// The program that wrote it.
+    pub software: Software,
+    /// Licence of the output, as an SPDX identifier.
+    pub licence: String,
+    /// Attribution that must stay with the output.
+    pub attribution: String,
+    /// EPSG code of the projection.
+    pub epsg: u32,
+    /// Cells along a side of every record.
+    pub cells: u32,
+    /// Side of a cell, in metres.
+    pub cell_m: f64,
+    /// The configuration used.
+    pub config: DatasetConfig,
+    /// The extracts that the buildings come from.
+    pub inputs: Vec<Input>,
+    /// SHA-256 of the manifest of the tiles.
+    pub tiles_manifest_sha256: String,
+    /// SHA-256 of the manifest of the radio maps.
+    pub rsrp_manifest_sha256: String,
+    /// Buildings of the extracts.
+    pub buildings: BuildingCounts,
+    /// Figures of every split that has records.
+    pub statistics: BTreeMap<Split, SplitStatistics>,
+    /// What did not become a record.
+    pub dropped: Dropped,
+    /// Pairs of records of different splits whose whole tiles overlap, though their windows
+    /// do not. `split.strict` drops them.
+    pub overlapping_tile_pairs: u64,
+    /// The shards, in the order of their names.
+    pub shards: Vec<ShardEntry>,
+    /// Every record, by name.
+    pub records: Vec<IndexEntry>,
+}
+
+impl DatasetManifest {
+    /// The value of `schema`.
+    pub const SCHEMA: &'static str = "dataset.v1";
+}

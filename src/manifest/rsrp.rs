@@ -1,0 +1,211 @@
+//! Manifest of imported radio maps (`rsrp.v1`) and the metadata inside each (`rsrp_map.v1`).
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Software;
+use crate::config::RsrpConfig;
+use crate::grid::TileId;
+use crate::store::Digest;
+use crate::units::Dbm;
+
+/// What the values of a radio map are.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum ValueKind {
+    /// Linear path gain, 0 to 1.
+    PathGainLinear,
+    /// Path gain in dB, negative.
+    PathGainDb,
+    /// Path loss in dB, positive.
+    PathLossDb,
+    /// Received signal strength in watts.
+    RssW,
+    /// Received signal strength in dBm.
+    RssDbm,
+    /// Power per resource element in dBm.
+    RsrpDbm,
+}
+
+impl ValueKind {
+    /// Whether the values are linear (so that "no path" is 0, and float16 loses nearly all).
+    #[must_use]
+    pub fn is_linear(self) -> bool {
+        matches!(self, Self::PathGainLinear | Self::RssW)
+    }
+
+    /// The name used in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PathGainLinear => "path_gain_linear",
+            Self::PathGainDb => "path_gain_db",
+            Self::PathLossDb => "path_loss_db",
+            Self::RssW => "rss_w",
+            Self::RssDbm => "rss_dbm",
+            Self::RsrpDbm => "rsrp_dbm",
+        }
+    }
+}
+
+/// The transmitter of a map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BaseStation {
+    /// East, north and up from the tile's centre on the ground, in metres.
+    pub position_m: [f64; 3],
+    /// Transmit power per resource element, in dBm.
+    pub power_per_re_dbm: Dbm,
+    /// Antenna pattern, in the producer's words.
+    pub pattern: String,
+}
+
+/// How a map was computed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Radio {
+    /// Carrier frequency, in Hz.
+    pub frequency_hz: f64,
+    /// Height of the receivers over the ground, in metres.
+    pub rx_height_m: f64,
+    /// The solver and its version.
+    pub sionna_version: String,
+    /// Rays for each transmitter.
+    pub samples_per_tx: u64,
+    /// Most interactions of a path.
+    pub max_depth: u32,
+    /// Whether paths go through walls.
+    pub refraction: bool,
+    /// Whether paths bend around edges.
+    pub diffraction: bool,
+}
+
+/// The file that a map was imported from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SourceMap {
+    /// File name without directories.
+    pub file: String,
+    /// Size and SHA-256 of the file (of the `.npy`, where metadata lie beside it).
+    pub digest: Digest,
+    /// What its values were.
+    pub value_kind: ValueKind,
+}
+
+/// `meta_json` inside of an imported map's `.npz`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RsrpMeta {
+    /// Always `rsrp_map.v1`.
+    pub schema: String,
+    /// The tile.
+    pub id: TileId,
+    /// EPSG code of the projection.
+    pub epsg: u32,
+    /// Easting and northing of the centre, in metres.
+    pub center_m: [f64; 2],
+    /// Side of a cell, in metres.
+    pub cell_m: f64,
+    /// Cells along a side.
+    pub cells: u32,
+    /// Always `north_first`: row 0 is the northernmost, column 0 the westernmost.
+    pub row_order: String,
+    /// What cells without a path hold, in dBm.
+    pub floor_dbm: Dbm,
+    /// The transmitter.
+    pub base_station: BaseStation,
+    /// How the map was computed.
+    pub radio: Radio,
+    /// Where it comes from.
+    pub source: SourceMap,
+    /// SHA-256 of the tile whose buildings make up the mask.
+    pub tile_sha256: String,
+    /// Licence, as an SPDX identifier.
+    pub licence: String,
+    /// Attribution that must stay with the file.
+    pub attribution: String,
+}
+
+impl RsrpMeta {
+    /// The value of `schema`.
+    pub const SCHEMA: &'static str = "rsrp_map.v1";
+}
+
+/// Cells of a map by the mask's value.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MaskCounts {
+    /// Outdoor cells that some path reaches (0).
+    pub reached: u64,
+    /// Building cells (1).
+    pub building: u64,
+    /// Outdoor cells without a path (2).
+    pub unreached: u64,
+}
+
+/// A map that was imported.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MapEntry {
+    /// The tile.
+    pub id: TileId,
+    /// File name within the directory.
+    pub file: String,
+    /// Size and SHA-256 of the file.
+    pub digest: Digest,
+    /// Where it comes from.
+    pub source: SourceMap,
+    /// Cells by kind.
+    pub cells: MaskCounts,
+    /// What a user should look at, though the map was taken.
+    pub warnings: Vec<String>,
+}
+
+/// Number of maps that share a way of computing.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RadioCount {
+    /// The way of computing.
+    pub radio: Radio,
+    /// How many maps.
+    pub maps: u64,
+}
+
+/// `RSRP/manifest.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RsrpManifest {
+    /// Always `rsrp.v1`.
+    pub schema: String,
+    /// SHA-256 over all that the output depends on.
+    pub fingerprint: String,
+    /// The program that wrote it.
+    pub software: Software,
+    /// Licence of the output, as an SPDX identifier.
+    pub licence: String,
+    /// Attribution that must stay with the output.
+    pub attribution: String,
+    /// EPSG code of the projection.
+    pub epsg: u32,
+    /// The configuration used.
+    pub config: RsrpConfig,
+    /// SHA-256 of the manifest of the tiles.
+    pub tiles_manifest_sha256: String,
+    /// Ways of computing; more than one means that maps are not comparable.
+    pub radio: Vec<RadioCount>,
+    /// Rejected files by reason; `rejected.csv` lists them.
+    pub rejected: BTreeMap<String, u64>,
+    /// Files that are no maps, such as a README.
+    pub ignored: Vec<String>,
+    /// The maps imported, by name of tile.
+    pub maps: Vec<MapEntry>,
+}
+
+impl RsrpManifest {
+    /// The value of `schema`.
+    pub const SCHEMA: &'static str = "rsrp.v1";
+}

@@ -1,0 +1,253 @@
+//! Is the array what its metadata say? Checks 1, 2, 5 and 8 of the import contract.
+
+use super::convert::{power_per_re, to_rsrp};
+use super::load::LoadedMap;
+use super::metadata::RadioMapMetadata;
+use super::rejection::{Rejection, RejectionCode};
+use crate::building::HeightSource;
+use crate::config::GridConfig;
+use crate::grid::TileId;
+use crate::manifest::ValueKind;
+use crate::store::DType;
+
+/// A map's centre may differ from its tile's by this, in metres.
+const CENTER_TOLERANCE_M: f64 = 0.01;
+/// Lengths are taken for whole multiples within this relative error.
+const WHOLE_TOLERANCE: f64 = 1e-9;
+/// A value that more cells share is suspected to be a floor: at least this many ...
+const PILE_CELLS: usize = 50;
+/// ... and this share of all cells ...
+const PILE_SHARE: f64 = 0.01;
+/// ... and so many times the second most frequent value (float16 has many equal values).
+const PILE_FACTOR: usize = 8;
+/// A roof with a `height` tag is this uncertain, in metres.
+const HEIGHT_UNCERTAINTY_M: f64 = 1.0;
+/// A roof with `building:levels` is this uncertain: two levels, in metres.
+const LEVELS_UNCERTAINTY_M: f64 = 6.0;
+
+/// How the cells of a map lie on the cells of the tile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Geometry {
+    /// Side of a map's cell, in metres.
+    pub(super) cell_m: f64,
+    /// Cells of the map between its border and the central window.
+    pub(super) offset: usize,
+    /// Cells of the map along a side of the central window.
+    pub(super) cells: usize,
+}
+
+fn whole(value: f64) -> Option<usize> {
+    let rounded = value.round();
+    ((value - rounded).abs() <= WHOLE_TOLERANCE * rounded.max(1.0)).then_some(rounded as usize)
+}
+
+/// Shape, cell size, window and place. `record_cell_m` is the cell that maps must reach.
+pub(super) fn geometry(
+    map: &LoadedMap,
+    metadata: &RadioMapMetadata,
+    tile: TileId,
+    grid: &GridConfig,
+    record_cell_m: f64,
+) -> Result<Geometry, Rejection> {
+    let (cell, size) = (metadata.cell_size_m, metadata.map_size_m);
+    let count = map.values.nrows();
+    if whole(size / cell) != Some(count) {
+        return Err(Rejection::new(
+            RejectionCode::CellSizeContradictsShape,
+            format!("{count} cells of {cell} m to make up map_size_m = {size}"),
+            format!("{} m", count as f64 * cell),
+            "correct cell_size_m or map_size_m",
+        ));
+    }
+    let fits = |one: f64, other: f64| whole(one / other).or_else(|| whole(other / one)).is_some();
+    if whole(record_cell_m / cell).is_none_or(|ratio| ratio == 0) || !fits(cell, grid.cell_m) {
+        return Err(Rejection::new(
+            RejectionCode::IncompatibleCellSize,
+            format!(
+                "cells that make up {record_cell_m} m and lie on the grid's {} m",
+                grid.cell_m
+            ),
+            format!("{cell} m"),
+            format!("trace with cell_size = {} or {record_cell_m}", grid.cell_m),
+        ));
+    }
+    let crop = f64::from(grid.crop_m);
+    if size < crop {
+        return Err(Rejection::new(
+            RejectionCode::WindowTooSmall,
+            format!("at least the central {crop} m"),
+            format!("{size} m"),
+            format!("trace a map of {crop} m or {} m", grid.side_m),
+        ));
+    }
+    let (Some(offset), Some(cells)) = (whole((size - crop) / 2.0 / cell), whole(crop / cell))
+    else {
+        return Err(Rejection::new(
+            RejectionCode::MisalignedWindow,
+            format!("the central {crop} m to begin on a cell"),
+            format!(
+                "{count} cells of {cell} m: it begins {} cells in",
+                (size - crop) / 2.0 / cell
+            ),
+            format!(
+                "trace {crop} m at {cell} m, or {} m at {} m",
+                grid.side_m, grid.cell_m
+            ),
+        ));
+    };
+    let epsg = metadata.crs.epsg();
+    if epsg != Some(tile.utm.epsg()) {
+        return Err(Rejection::new(
+            RejectionCode::WrongCrs,
+            tile.utm.to_string(),
+            format!("{:?}", metadata.crs),
+            "trace the scene of this tile, or correct crs",
+        ));
+    }
+    let [x, y] = metadata.map_center_m;
+    let [easting, northing] = tile.center();
+    let distance = libm::hypot(x - easting, y - northing);
+    if distance.is_nan() || distance > CENTER_TOLERANCE_M {
+        return Err(Rejection::new(
+            RejectionCode::CenterOff,
+            format!("the tile's centre, {easting}, {northing}"),
+            format!("{x}, {y}: {distance:.3} m off"),
+            "center the map on the tile, or correct map_center_m",
+        ));
+    }
+    Ok(Geometry {
+        cell_m: cell,
+        offset,
+        cells,
+    })
+}
+
+/// Whether a value stands for "no path", as the file's element type rounds it.
+pub(super) fn no_path(metadata: &RadioMapMetadata, dtype: DType) -> impl Fn(f64) -> bool + use<> {
+    let declared = metadata.no_path_value.value();
+    let stored = match dtype {
+        DType::Float16 => half::f16::from_f64(declared).to_f64(),
+        DType::Float32 => f64::from(declared as f32),
+        DType::Float64 | DType::UInt8 => declared,
+    };
+    move |value| value == stored || (value.is_nan() && stored.is_nan())
+}
+
+/// NaN, infinities, impossible powers and undeclared floors.
+pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(), Rejection> {
+    let is_no_path = no_path(metadata, map.dtype);
+    let present = || {
+        map.values
+            .iter()
+            .copied()
+            .filter(|&value| !is_no_path(value))
+    };
+    let total = map.values.len();
+    let declared = metadata.no_path_value.value();
+
+    let undeclared = |code, what: &str, count: usize| {
+        let mend = format!("set no_path_value to {what} if it means \"no path\", else trace again");
+        let found = format!("{what} in {count} of {total} cells");
+        let expected = format!("finite values, or no_path_value = {declared}");
+        Err(Rejection::new(code, expected, found, mend))
+    };
+    let nan = present().filter(|value| value.is_nan()).count();
+    if nan > 0 {
+        return undeclared(RejectionCode::NanUndeclared, "nan", nan);
+    }
+    let infinite = present().filter(|value| value.is_infinite()).count();
+    if infinite > 0 {
+        return undeclared(RejectionCode::InfinityUndeclared, "an infinity", infinite);
+    }
+    if map.kind.is_linear() {
+        let zeros = present().filter(|&value| value == 0.0).count();
+        if zeros > 0 {
+            return undeclared(RejectionCode::FloorUndeclared, "0", zeros);
+        }
+    }
+    let impossible = |value: f64| {
+        (map.kind.is_linear() && value < 0.0)
+            || to_rsrp(value, map.kind, metadata).0 >= power_per_re(metadata).0
+    };
+    let wrong: Vec<f64> = present().filter(|&value| impossible(value)).collect();
+    if let Some(example) = wrong.first() {
+        let expected = match map.kind {
+            ValueKind::PathGainLinear => "path_gain_linear from 0 to 1".to_owned(),
+            ValueKind::PathGainDb => "path_gain_db below 0 dB".to_owned(),
+            ValueKind::PathLossDb => "path_loss_db above 0 dB".to_owned(),
+            kind => format!("{} below the transmit power", kind.name()),
+        };
+        return Err(Rejection::new(
+            RejectionCode::ValueOutOfRange,
+            expected,
+            format!("{example} and such in {} of {total} cells", wrong.len()),
+            "the values are of another kind, or the power is not the one they were made with",
+        ));
+    }
+    floor(present().collect(), total)
+}
+
+/// A value that suspiciously many cells share.
+fn floor(mut present: Vec<f64>, total: usize) -> Result<(), Rejection> {
+    present.sort_unstable_by(f64::total_cmp);
+    let (mut most, mut second, mut value) = (0, 0, f64::NAN);
+    for run in present.chunk_by(|a, b| a == b) {
+        if run.len() > most {
+            (second, most, value) = (most, run.len(), run[0]);
+        } else {
+            second = second.max(run.len());
+        }
+    }
+    let suspicious = most >= PILE_CELLS
+        && most as f64 > PILE_SHARE * total as f64
+        && most > PILE_FACTOR * second;
+    if !suspicious {
+        return Ok(());
+    }
+    Err(Rejection::new(
+        RejectionCode::FloorUndeclared,
+        "no_path_value to be the value of cells without a path",
+        format!("{value} in {most} of {total} cells"),
+        format!("set no_path_value = {value}"),
+    ))
+}
+
+/// Is the transmitter where one can be? `roof` gives the height under a place (east and
+/// north of the centre, in metres) and its source. Returns a warning where heights are
+/// too uncertain to reject the map.
+pub(super) fn transmitter(
+    metadata: &RadioMapMetadata,
+    roof: impl Fn(f64, f64) -> Option<(f64, HeightSource)>,
+) -> Result<Option<String>, Rejection> {
+    let [x, y, z] = metadata.tx_position_m;
+    let half = metadata.map_size_m / 2.0;
+    let inside = x.abs() <= half && y.abs() <= half && z.is_finite();
+    if !inside {
+        return Err(Rejection::new(
+            RejectionCode::TransmitterOutside,
+            format!("tx_position_m within ±{half} m of the centre"),
+            format!("{x}, {y}, {z}"),
+            "give the position relative to the map's centre",
+        ));
+    }
+    let Some((height, source)) = roof(x, y).filter(|(height, _)| z < *height) else {
+        return Ok(None);
+    };
+    let uncertainty = match source {
+        HeightSource::Height => HEIGHT_UNCERTAINTY_M,
+        HeightSource::Levels => LEVELS_UNCERTAINTY_M,
+        HeightSource::Default => f64::INFINITY,
+    };
+    let found = format!("{z} m over the ground, {:.1} m below the roof", height - z);
+    if height - z > uncertainty {
+        return Err(Rejection::new(
+            RejectionCode::TransmitterInsideBuilding,
+            format!("above the roof under it, {height} m"),
+            found,
+            "trace with the buildings of this tile, or correct tx_position_m",
+        ));
+    }
+    Ok(Some(format!(
+        "transmitter {found}, whose height is uncertain"
+    )))
+}

@@ -1,0 +1,254 @@
+//! The metadata that come with a map (schema `radio_map.v1`).
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::rejection::{Rejection, RejectionCode};
+use crate::manifest::ValueKind;
+
+/// Which row comes first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RowOrder {
+    /// Row 0 is the southernmost: what Sionna itself emits.
+    SouthFirst,
+    /// Row 0 is the northernmost: what images have.
+    NorthFirst,
+}
+
+/// What the transmit power counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PowerReference {
+    /// Power of one resource element.
+    PerRe,
+    /// Power of the whole carrier; `n_subcarriers` must be given.
+    Total,
+}
+
+/// What cells without a path hold. JSON has no infinities, so these are strings.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum NoPathValue {
+    /// A number.
+    Number(f64),
+    /// Negative infinity or NaN.
+    Special(SpecialValue),
+}
+
+/// Values that JSON cannot write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum SpecialValue {
+    /// Negative infinity.
+    #[serde(rename = "-inf")]
+    NegativeInfinity,
+    /// Not a number.
+    #[serde(rename = "nan")]
+    Nan,
+}
+
+impl NoPathValue {
+    /// As a number.
+    #[must_use]
+    pub fn value(self) -> f64 {
+        match self {
+            Self::Number(value) => value,
+            Self::Special(SpecialValue::NegativeInfinity) => f64::NEG_INFINITY,
+            Self::Special(SpecialValue::Nan) => f64::NAN,
+        }
+    }
+}
+
+/// An EPSG code, written as `32610` or `"EPSG:32610"`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Crs {
+    /// `32610`.
+    Code(u32),
+    /// `"EPSG:32610"`.
+    Name(String),
+}
+
+impl Crs {
+    /// The code, if the text is one.
+    #[must_use]
+    pub fn epsg(&self) -> Option<u32> {
+        match self {
+            Self::Code(code) => Some(*code),
+            Self::Name(name) => name.strip_prefix("EPSG:")?.parse().ok(),
+        }
+    }
+}
+
+/// Metadata of a radio map. All lengths are metres; unknown further keys are ignored.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RadioMapMetadata {
+    /// `radio_map.v1`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub schema: Option<String>,
+    /// Id of the tile.
+    pub location_id: String,
+    /// What the values are; may be left out where the array's name tells it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub value_kind: Option<ValueKind>,
+    /// Which row comes first. Column 0 is always the westernmost.
+    pub row_order: RowOrder,
+    /// What cells without a path hold.
+    pub no_path_value: NoPathValue,
+    /// Side of a cell.
+    pub cell_size_m: f64,
+    /// Easting and northing of the map's centre.
+    pub map_center_m: [f64; 2],
+    /// Side of the map.
+    pub map_size_m: f64,
+    /// Projection of the centre.
+    pub crs: Crs,
+    /// Height of the receivers over the ground.
+    pub rx_height_m: f64,
+    /// East, north and up from the centre on the ground.
+    pub tx_position_m: [f64; 3],
+    /// Transmit power, in dBm.
+    pub tx_power_dbm: f64,
+    /// What the transmit power counts.
+    pub tx_power_is: PowerReference,
+    /// Subcarriers of the carrier, where the power is the total.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub n_subcarriers: Option<u32>,
+    /// Carrier frequency, in Hz.
+    pub frequency_hz: f64,
+    /// Antenna pattern of the transmitter.
+    pub tx_pattern: String,
+    /// The solver and its version.
+    pub sionna_version: String,
+    /// Rays for each transmitter.
+    pub samples_per_tx: u64,
+    /// Most interactions of a path.
+    pub max_depth: u32,
+    /// Whether paths go through walls.
+    pub refraction: bool,
+    /// Whether paths bend around edges.
+    pub diffraction: bool,
+    /// Materials, in the producer's words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub materials: Option<serde_json::Value>,
+    /// Seed of the solver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// SHA-256 of the extract that the scene was made from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub osm_sha256: Option<String>,
+}
+
+/// The keys that must be there, for one message about all that are missing.
+const REQUIRED: [&str; 18] = [
+    "location_id",
+    "row_order",
+    "no_path_value",
+    "cell_size_m",
+    "map_center_m",
+    "map_size_m",
+    "crs",
+    "rx_height_m",
+    "tx_position_m",
+    "tx_power_dbm",
+    "tx_power_is",
+    "frequency_hz",
+    "tx_pattern",
+    "sionna_version",
+    "samples_per_tx",
+    "max_depth",
+    "refraction",
+    "diffraction",
+];
+
+impl RadioMapMetadata {
+    /// The value of `schema`.
+    pub const SCHEMA: &'static str = "radio_map.v1";
+
+    /// Parses and checks metadata for themselves, without the array or the tile.
+    ///
+    /// # Errors
+    /// [`RejectionCode::MissingMetadata`] names all missing keys at once,
+    /// [`RejectionCode::InvalidMetadata`] the first that cannot be used.
+    pub fn parse(json: &[u8]) -> Result<Self, Rejection> {
+        let invalid = |expected: &str, found: String, mend: &str| {
+            Rejection::new(RejectionCode::InvalidMetadata, expected, found, mend)
+        };
+        let value: serde_json::Value = serde_json::from_slice(json).map_err(|error| {
+            let mend =
+                "write it with json.dumps; JSON has no NaN or Infinity, use \"nan\", \"-inf\"";
+            invalid("metadata as JSON", error.to_string(), mend)
+        })?;
+        let missing: Vec<_> = REQUIRED
+            .into_iter()
+            .filter(|key| value.get(key).is_none_or(|v| v.is_null()))
+            .collect();
+        if !missing.is_empty() {
+            return Err(Rejection::new(
+                RejectionCode::MissingMetadata,
+                format!("all keys of {}", Self::SCHEMA),
+                format!("no {}", missing.join(", ")),
+                "add them to meta_json, or to the .json beside the .npy",
+            ));
+        }
+        let metadata: Self = serde_json::from_value(value).map_err(|error| {
+            invalid(
+                "the types of schema radio_map.v1",
+                error.to_string(),
+                "see schemas/radio_map.v1.json",
+            )
+        })?;
+        metadata.check()?;
+        Ok(metadata)
+    }
+
+    fn check(&self) -> Result<(), Rejection> {
+        let demand = |holds: bool, key: &str, expected: &str, found: String| {
+            let found = format!("{key} = {found}");
+            let mend = format!("correct {key} in the metadata");
+            let reject = || Rejection::new(RejectionCode::InvalidMetadata, expected, found, mend);
+            if holds { Ok(()) } else { Err(reject()) }
+        };
+        let schema = self.schema.as_deref().unwrap_or(Self::SCHEMA);
+        demand(
+            schema == Self::SCHEMA,
+            "schema",
+            Self::SCHEMA,
+            schema.to_owned(),
+        )?;
+        let positive = |key: &str, value: f64| {
+            demand(
+                value > 0.0 && value.is_finite(),
+                key,
+                "a positive number",
+                value.to_string(),
+            )
+        };
+        positive("cell_size_m", self.cell_size_m)?;
+        positive("map_size_m", self.map_size_m)?;
+        positive("frequency_hz", self.frequency_hz)?;
+        let height = self.rx_height_m;
+        demand(
+            height >= 0.0,
+            "rx_height_m",
+            "0 m or more, a horizontal plane",
+            height.to_string(),
+        )?;
+        let crs = self.crs.epsg();
+        demand(
+            crs.is_some(),
+            "crs",
+            "an EPSG code such as EPSG:32610",
+            format!("{:?}", self.crs),
+        )?;
+        if self.tx_power_is == PowerReference::Total {
+            demand(
+                self.n_subcarriers.is_some_and(|count| count > 0),
+                "n_subcarriers",
+                "the number of subcarriers, since tx_power_is = total",
+                format!("{:?}", self.n_subcarriers),
+            )?;
+        }
+        Ok(())
+    }
+}

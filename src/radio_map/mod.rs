@@ -1,0 +1,22 @@
+//! Import of radio maps that a ray tracer produced elsewhere.
+//!
+//! A map is somebody else's file: it is taken if it follows the contract of
+//! `schemas/radio_map.v1.json`, else rejected with a named reason and the mend. The
+//! result is one orientation, one unit and a mask:
+//! `rsrp_dbm` float32, row 0 north, in dBm per resource element, and `mask` uint8 with
+//! {0 outdoor reached, 1 building, 2 outdoor unreached}.
+
+mod align;
+mod check;
+mod convert;
+mod load;
+mod metadata;
+mod rejection;
+mod stage;
+
+pub use align::{AlignedMap, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
+pub use convert::to_rsrp;
+pub use load::{LoadedMap, load_metadata, load_values};
+pub use metadata::{NoPathValue, PowerReference, RadioMapMetadata, RowOrder};
+pub use rejection::{Rejection, RejectionCode};
+pub use stage::{ImportError, ImportJob, import_maps};
