@@ -1,17 +1,18 @@
-//! Which buildings may touch which tile.
+//! The tiles that buildings fill, and which buildings may touch which tile.
 
 use std::collections::{BTreeSet, HashMap};
 
 use geo::{BoundingRect, Rect};
 
+use super::tile::{HeightGrid, rasterise_tile};
 use crate::building::Building;
 use crate::config::GridConfig;
 use crate::crs::Utm;
 use crate::grid::TileId;
 
-/// Buildings sorted into square blocks as wide as the lattice's spacing. Most buildings lie
-/// in one block: about 4 bytes each, besides their bounding boxes.
-pub(super) struct BuildingIndex<'a> {
+/// Makes tiles of buildings. These are sorted into square blocks as wide as the lattice's
+/// spacing; most lie in one block: about 4 bytes each, besides their bounding boxes.
+pub struct TileSource<'a> {
     buildings: &'a [Building],
     boxes: Vec<Rect<f64>>,
     blocks: HashMap<[i64; 2], Vec<u32>>,
@@ -19,8 +20,13 @@ pub(super) struct BuildingIndex<'a> {
     utm: Utm,
 }
 
-impl<'a> BuildingIndex<'a> {
-    pub(super) fn new(buildings: &'a [Building], grid: &'a GridConfig, utm: Utm) -> Self {
+impl<'a> TileSource<'a> {
+    /// Sorts buildings whose footprints are in metres of a UTM zone.
+    ///
+    /// # Panics
+    /// If a footprint has no ring at all.
+    #[must_use]
+    pub fn new(buildings: &'a [Building], grid: &'a GridConfig, utm: Utm) -> Self {
         let boxes: Vec<Rect<f64>> = buildings
             .iter()
             .map(|building| {
@@ -47,7 +53,8 @@ impl<'a> BuildingIndex<'a> {
     }
 
     /// All tiles of the lattice that some building's bounding box meets.
-    pub(super) fn candidates(&self) -> BTreeSet<TileId> {
+    #[must_use]
+    pub fn candidates(&self) -> BTreeSet<TileId> {
         let half = f64::from(self.grid.side_m) / 2.0;
         let spacing = i64::from(self.grid.spacing_m);
         let mut tiles = BTreeSet::new();
@@ -71,8 +78,14 @@ impl<'a> BuildingIndex<'a> {
         tiles
     }
 
+    /// Rasterises one tile.
+    #[must_use]
+    pub fn rasterise(&self, tile: TileId) -> HeightGrid {
+        rasterise_tile(tile, self.grid, &self.of_tile(tile))
+    }
+
     /// The buildings whose bounding boxes meet a tile.
-    pub(super) fn of_tile(&self, tile: TileId) -> Vec<&'a Building> {
+    fn of_tile(&self, tile: TileId) -> Vec<&'a Building> {
         let half = f64::from(self.grid.side_m) / 2.0;
         let [x, y] = tile.center();
         let bounds = Rect::new([x - half, y - half], [x + half, y + half]);

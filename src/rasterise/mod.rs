@@ -9,6 +9,7 @@ mod scanline;
 mod stage;
 mod tile;
 
+pub use index::TileSource;
 pub use scanline::Scanline;
 pub use stage::{RasteriseError, TilesJob, build_tiles};
 pub use tile::{HeightGrid, rasterise_tile};

@@ -7,8 +7,8 @@ use geo::MultiPolygon;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::index::BuildingIndex;
-use super::tile::{HeightGrid, rasterise_tile};
+use super::index::TileSource;
+use super::tile::HeightGrid;
 use crate::building::{Action, Building, Defect, HeightSource, Kind, Problem};
 use crate::config::{Config, FilterConfig};
 use crate::error::{Fault, FileError, HasFault};
@@ -21,9 +21,10 @@ use crate::osm::{Extract, ReadError, read_buildings};
 use crate::progress::Progress;
 use crate::store::{Digest, OutputDir, OutputError, npy_bytes, npz_bytes, sha256_file};
 
-/// Deflate level of tiles. Measured on San Jose (`benches/RESULTS.md`): higher levels cost
-/// several times the time for a few per cent of size.
-const DEFLATE_LEVEL: i64 = 1;
+/// Deflate level of tiles. Level 2 takes half again to twice the time of level 1 and leaves
+/// two thirds to half of the size; each further level saves less and costs more
+/// (`benches/RESULTS.md`).
+const DEFLATE_LEVEL: i64 = 2;
 
 /// Why tiles could not be built.
 #[derive(Debug, thiserror::Error)]
@@ -121,15 +122,15 @@ pub fn build_tiles(
         utm,
         problems,
     } = read_buildings(job.osm, &config.buildings, grid.epsg, job.area, progress)?;
-    let index = BuildingIndex::new(&buildings, grid, utm);
-    let candidates = select(&index, job.area)?;
+    let source = TileSource::new(&buildings, grid, utm);
+    let candidates = select(&source, job.area)?;
 
     let output = OutputDir::begin(job.out, "tiles", &fingerprint, job.overwrite)?;
     progress.begin("rasterising tiles", Some(candidates.len() as u64));
     let candidates = candidates
         .par_iter()
         .map(|&id| {
-            let candidate = build_tile(id, &index, &config, &output);
+            let candidate = build_tile(id, &source, &config, &output);
             progress.advance(1);
             candidate
         })
@@ -194,8 +195,8 @@ fn coordinates(area: &Area) -> Option<Vec<Vec<Vec<[f64; 2]>>>> {
     Some(polygons.iter().map(rings).collect())
 }
 
-fn select(index: &BuildingIndex<'_>, area: &Area) -> Result<Vec<TileId>, RasteriseError> {
-    let candidates = index.candidates();
+fn select(source: &TileSource<'_>, area: &Area) -> Result<Vec<TileId>, RasteriseError> {
+    let candidates = source.candidates();
     let inside = |tile: &TileId| {
         let [lon, lat] = tile.lon_lat();
         area.contains(lon, lat)
@@ -216,7 +217,7 @@ fn select(index: &BuildingIndex<'_>, area: &Area) -> Result<Vec<TileId>, Rasteri
 
 fn build_tile(
     id: TileId,
-    index: &BuildingIndex<'_>,
+    source: &TileSource<'_>,
     config: &TilesConfig,
     output: &OutputDir,
 ) -> Result<Candidate, FileError> {
@@ -224,7 +225,7 @@ fn build_tile(
     if let Some(done) = output.finished(&key) {
         return Ok(done);
     }
-    let tile = rasterise_tile(id, &config.grid, &index.of_tile(id));
+    let tile = source.rasterise(id);
     let statistics = tile.statistics;
     let verdict = judge(&statistics, &config.filter);
     let candidate = |digest: Option<&Digest>| Candidate {

@@ -1,0 +1,134 @@
+# Holescout: the dataset pipeline and the checks, as one dependency graph.
+#
+#   make dataset                 the fixtures, into build/helsinki/dataset
+#   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
+#   make test                    everything that needs no large data
+#   make test-real DATA=dir      against GDAL, PROJ and whole cities
+#
+# Nothing is redone whose inputs did not change.
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.SUFFIXES:
+
+FIXTURE := fixtures/helsinki
+OSM ?= $(FIXTURE)/helsinki.osm.pbf
+RSRP ?= $(FIXTURE)/rsrp
+OUT ?= build/$(firstword $(subst ., ,$(notdir $(firstword $(OSM)))))
+CONFIG ?= $(if $(filter $(FIXTURE)/%,$(OSM)),$(FIXTURE)/holescout.toml)
+DATA ?= ../shared/data
+
+BIN := target/release/holescout
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+REAL := tests/real
+
+RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
+
+.PHONY: help
+help:
+	@sed -n '3,8s/^# *//p' Makefile
+
+## The pipeline -----------------------------------------------------------------
+
+.PHONY: dataset
+dataset: $(OUT)/.verified
+	@echo "dataset: $(OUT)/dataset"
+
+$(OUT)/tiles/manifest.json: $(OSM) $(CONFIG) $(OUT)/.inputs $(BIN)
+	$(RUN) rasterise --osm $(OSM) --out $(@D) --overwrite
+	@touch $@
+
+$(OUT)/rsrp/manifest.json: $(OUT)/tiles/manifest.json $(RSRP) $(wildcard $(RSRP)/*)
+	$(RUN) import-rsrp --maps $(RSRP) --tiles $(OUT)/tiles --out $(@D) --overwrite
+	@touch $@
+
+$(OUT)/dataset/manifest.json: $(OUT)/rsrp/manifest.json
+	$(RUN) shard --tiles $(OUT)/tiles --rsrp $(OUT)/rsrp --out $(@D) --overwrite
+	@touch $@
+
+$(OUT)/.verified: $(OUT)/dataset/manifest.json
+	$(BIN) verify $(OUT)/dataset
+	@touch $@
+
+# Other file names are other inputs, though no file became newer.
+$(OUT)/.inputs: FORCE
+	@mkdir -p $(@D)
+	@echo '$(OSM) | $(RSRP) | $(CONFIG)' | cmp -s - $@ || echo '$(OSM) | $(RSRP) | $(CONFIG)' > $@
+
+.PHONY: FORCE
+FORCE:
+
+## Building ---------------------------------------------------------------------
+
+# Cargo knows its own graph, and leaves the file alone when nothing changed.
+$(BIN): FORCE | tools
+	cargo build --release --locked
+
+.PHONY: build
+build: $(BIN)
+
+# A C compiler builds Zstandard. It is installed where that is possible without asking.
+.PHONY: tools
+tools:
+	@command -v cargo >/dev/null || { echo "cargo is missing: install Rust from https://rustup.rs" >&2; exit 1; }
+	@command -v cc >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -qqy --no-install-recommends gcc libc6-dev; \
+	  else echo "a C compiler is missing: install gcc" >&2; exit 1; fi; }
+
+## Checks -----------------------------------------------------------------------
+
+.PHONY: check
+check: fmt-check lint doc schema-check
+
+.PHONY: fmt-check
+fmt-check: | tools
+	cargo fmt --check
+
+.PHONY: lint
+lint: | tools
+	cargo clippy --locked --all-targets -- -D warnings
+
+.PHONY: doc
+doc: | tools
+	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps
+
+.PHONY: schemas
+schemas: $(BIN)
+	$(BIN) schemas --out schemas
+
+.PHONY: schema-check
+schema-check: $(BIN)
+	$(BIN) schemas --out schemas --check
+
+.PHONY: test
+test: | tools
+	cargo test --locked
+
+# Fails, and does not pass, where the data are missing.
+.PHONY: test-real
+test-real: $(BIN) $(VENV)/.installed
+	@test -d $(DATA)/osm -a -d $(DATA)/rsrp || { echo "no data in $(DATA): set DATA to the directory with osm/ and rsrp/" >&2; exit 1; }
+	cargo build --release --locked --example utm_points
+	$(PYTHON) fixtures/geometry/make_pbf.py --check
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
+
+$(VENV)/.installed: $(REAL)/requirements.txt
+	python3 -m venv $(VENV) || { \
+	  [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
+	  apt-get update -qq && apt-get install -qqy --no-install-recommends python3-venv && \
+	  python3 -m venv $(VENV); }
+	$(VENV)/bin/pip install -q -r $(REAL)/requirements.txt
+	@touch $@
+
+.PHONY: bench
+bench: $(BIN) $(VENV)/.installed
+	cargo bench --locked --bench stages -- $(abspath $(DATA))/osm/sanjose_buildings.osm.pbf
+	$(VENV)/bin/pip install -q -r benches/requirements.txt
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) benches/rasterise_vs_peers.py
+
+.PHONY: clean
+clean:
+	rm -rf build target $(VENV)

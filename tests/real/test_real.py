@@ -1,0 +1,188 @@
+"""Holescout on whole cities, against GDAL and PROJ. Run by `make test-real`.
+
+Every test fails where the data or the program are missing; none is skipped.
+"""
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent.parent
+
+# Parts off and one default height, as the independent reading in gdal_equality.py has it.
+PLAIN_CONFIG = """
+[grid]
+spacing_m = {spacing}
+[buildings]
+parts = false
+default_heights_m = {{}}
+[filter]
+min_buildings = 1
+min_built = 0.0
+"""
+
+# Extract, spacing of tiles, number of tiles compared.
+EXTRACTS = [
+    ("sanjose_buildings", 512, 40),
+    ("manhattan", 256, 15),
+    ("helsinki", 256, 15),
+    ("monaco", 256, 15),
+    ("london", 256, 15),
+]
+
+# What each bad map is rejected for. The four that follow the contract in form, and are wrong only in
+# substance (rows_flipped, transposed, undersampled, watts_called_dbm), need the physical checks.
+BAD_MAPS = {
+    "bare_array_without_metadata.npy": "missing_metadata",
+    "cell_size_contradicts_shape.npz": "cell_size_contradicts_shape",
+    "db_labelled_linear.npz": "value_out_of_range",
+    "grid_270.npz": "misaligned_window",
+    "linear_float16.npz": "unsupported_type",
+    "nan_undeclared.npz": "nan_undeclared",
+    "pickled_dict.npy": "pickled",
+    "two_transmitters.npz": "several_transmitters",
+    "unknown_location.npz": "unknown_location",
+}
+
+
+def path_from(variable: str) -> Path:
+    path = Path(os.environ.get(variable, ""))
+    assert os.environ.get(variable) and path.exists(), f"{variable} names nothing; use `make test-real`"
+    return path
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    return path_from("HOLESCOUT_DATA")
+
+
+def holescout(*arguments: str | Path) -> dict:
+    """Runs the program and returns its JSON summary."""
+    command = [str(path_from("HOLESCOUT")), *map(str, arguments), "--json", "--quiet"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def script(name: str, *arguments: str | Path) -> str:
+    result = subprocess.run(
+        [sys.executable, HERE / name, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="session")
+def sanjose(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The San Jose dataset, built as a user would."""
+    out = tmp_path_factory.mktemp("sanjose")
+    subprocess.run(
+        [
+            "make", "dataset", f"OSM={data}/osm/sanjose_buildings.osm.pbf",
+            f"RSRP={data}/rsrp/sanjose_4m", f"OUT={out}",
+        ],
+        cwd=ROOT,
+        check=True,
+    )
+    return out
+
+
+@pytest.mark.parametrize(("extract", "spacing", "tiles"), EXTRACTS)
+def test_every_cell_equals_gdal(data: Path, tmp_path: Path, extract: str, spacing: int, tiles: int) -> None:
+    config = tmp_path / "plain.toml"
+    config.write_text(PLAIN_CONFIG.format(spacing=spacing))
+    osm = data / "osm" / f"{extract}.osm.pbf"
+    holescout("rasterise", "--config", config, "--osm", osm, "--out", tmp_path / "tiles")
+    print(script("gdal_equality.py", "--tiles", tmp_path / "tiles", "--osm", osm,
+                 "--max-tiles", tiles, "--seed", 1))
+
+
+def test_utm_agrees_with_proj(tmp_path: Path) -> None:
+    points = tmp_path / "points.csv"
+    points.write_bytes(subprocess.check_output([ROOT / "target/release/examples/utm_points"]))
+    print(script("utm_pyproj.py", "--points", points))
+
+
+def test_every_sanjose_map_is_a_record_or_rejected(data: Path, sanjose: Path) -> None:
+    maps = {path.name for path in (data / "rsrp/sanjose_4m").glob("*.npz")}
+    assert len(maps) > 500
+    manifest = json.loads((sanjose / "rsrp/manifest.json").read_text())
+    imported = {entry["source"]["file"] for entry in manifest["maps"]}
+    with (sanjose / "rsrp/rejected.csv").open(newline="") as file:
+        rejected = {row["file"] for row in csv.DictReader(file)}
+    assert imported | rejected == maps and not imported & rejected
+    assert not rejected, "all of these maps follow the contract"
+    dataset = json.loads((sanjose / "dataset/manifest.json").read_text())
+    dropped = dataset["dropped"]["overlapping_another_split"]
+    assert len(dataset["records"]) + len(dropped) == len(imported)
+    assert not dropped, "windows of 484 m every 512 m never overlap"
+    assert set(dataset["statistics"]) == {"train", "val", "test"}
+
+
+def test_the_cards_python_reads_every_record(sanjose: Path) -> None:
+    """msgpack, zstandard and numpy alone, by the lines that the dataset card gives."""
+    card = (sanjose / "dataset/README.md").read_text()
+    snippet = re.search(r"```python\n(.*?)```", card, re.DOTALL)
+    assert snippet
+    names: dict = {}
+    exec(snippet[1], names)  # noqa: S102: the card's own lines are what is tested
+    manifest = json.loads((sanjose / "dataset/manifest.json").read_text())
+    seen = set()
+    for shard in manifest["shards"]:
+        for record in names["records"](sanjose / "dataset" / shard["file"]):
+            seen.add(record["id"])
+            assert record["split"] == shard["split"]
+            heights, rsrp, mask = record["height_m"], record["rsrp_dbm"], record["mask"]
+            assert heights.shape == rsrp.shape == mask.shape == (121, 121)
+            assert ((mask == 1) == (heights >= record["flight_height_m"])).all()
+            assert (rsrp[mask == 2] == record["floor_dbm"]).all() and np.isfinite(rsrp).all()
+    assert seen == {entry["id"] for entry in manifest["records"]}
+
+
+def test_records_hold_the_maps_own_values(data: Path, sanjose: Path) -> None:
+    """One map, from the file that Sionna wrote to the record, by numpy alone."""
+    manifest = json.loads((sanjose / "dataset/manifest.json").read_text())
+    for entry in manifest["records"][::50]:
+        summary = holescout("inspect", sanjose / "dataset", "--id", entry["id"])
+        source = np.load(data / "rsrp/sanjose_4m" / f"{entry['id']}.npz")
+        meta = json.loads(bytes(source["meta_json"]))
+        assert meta["row_order"] == "south_first" and meta["tx_power_is"] == "per_re"
+        gain = np.flipud(source["path_gain"]).astype(np.float64)
+        mask, rsrp = np.array(summary["mask"]), np.array(summary["rsrp_dbm"])
+        assert (gain[mask == 0] > 0).all() and (gain[mask == 2] == 0).all()
+        expected = 10 * np.log10(gain[mask == 0]) + meta["tx_power_dbm"]
+        np.testing.assert_allclose(rsrp[mask == 0], expected, atol=1e-4)
+
+
+def test_one_metre_maps_reach_the_same_grid(data: Path, sanjose: Path, tmp_path: Path) -> None:
+    tiles, rsrp, dataset = sanjose / "tiles", tmp_path / "rsrp", tmp_path / "dataset"
+    summary = holescout("import-rsrp", "--maps", data / "rsrp/sanjose_1m", "--tiles", tiles, "--out", rsrp)
+    assert (summary["imported"], summary["rejected"]) == (6, 0)
+    assert holescout("shard", "--tiles", tiles, "--rsrp", rsrp, "--out", dataset)["records"] == 6
+    assert holescout("verify", dataset)["failures"] == []
+    assert json.loads((dataset / "manifest.json").read_text())["cells"] == 121
+
+
+def test_bad_maps_are_rejected_for_what_their_names_tell(data: Path, sanjose: Path, tmp_path: Path) -> None:
+    rsrp = tmp_path / "rsrp"
+    holescout("import-rsrp", "--maps", data / "rsrp/bad", "--tiles", sanjose / "tiles", "--out", rsrp)
+    with (rsrp / "rejected.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["file"]: row["code"] for row in rows} == BAD_MAPS
+    assert all(row["expected"] and row["found"] and row["mend"] for row in rows)
+
+
+def test_tiles_are_readable_by_numpy(sanjose: Path) -> None:
+    manifest = json.loads((sanjose / "tiles/manifest.json").read_text())
+    tile = np.load(sanjose / "tiles" / manifest["tiles"][0]["file"])
+    assert tile["height_m"].shape == (1080, 1080) and tile["height_m"].dtype == np.float32
+    assert json.loads(bytes(tile["meta_json"]))["id"] == manifest["tiles"][0]["id"]
+    assert ((tile["height_m"] > 0) == (tile["height_source"] > 0)).all()
