@@ -1,5 +1,10 @@
 //! The command line. Every option that is also a key of the configuration overrides it.
 
+#![expect(
+    clippy::doc_markdown,
+    reason = "these comments are the text of --help, where backticks would show"
+)]
+
 use std::num::NonZero;
 use std::path::PathBuf;
 

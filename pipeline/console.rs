@@ -37,15 +37,6 @@ impl Console {
         }
     }
 
-    pub(crate) fn error(&self, failure: &Failure) {
-        self.line(&format!("error: {failure}"));
-    }
-
-    fn line(&self, text: &str) {
-        // Nobody is left to tell when standard error fails.
-        let _ = writeln!(std::io::stderr().lock(), "{text}");
-    }
-
     fn with_phase(&self, act: impl FnOnce(&mut Option<Phase>)) {
         act(&mut self
             .phase
@@ -70,7 +61,7 @@ impl Progress for Console {
             bar
         });
         if bar.is_none() {
-            self.line(&match total {
+            line(&match total {
                 Some(total) => format!("{phase} ({total})"),
                 None => phase.to_owned(),
             });
@@ -94,7 +85,7 @@ impl Progress for Console {
                 (None, Some(total)) if total > 100 => {
                     let part = |done: u64| done * PLAIN_STEPS / total;
                     if part(phase.done) > part(phase.done - steps) {
-                        self.line(&format!("{}: {} of {total}", phase.name, phase.done));
+                        line(&format!("{}: {} of {total}", phase.name, phase.done));
                     }
                 }
                 (None, _) => {}
@@ -112,10 +103,20 @@ impl Progress for Console {
 
     fn note(&self, text: &str) {
         self.with_phase(|phase| match phase {
-            Some(Phase { bar: Some(bar), .. }) => bar.suspend(|| self.line(text)),
-            _ => self.line(text),
+            Some(Phase { bar: Some(bar), .. }) => bar.suspend(|| line(text)),
+            _ => line(text),
         });
     }
+}
+
+/// A line on standard error. Nobody is left to tell when that fails.
+fn line(text: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}
+
+/// The end of a run that failed.
+pub(crate) fn report_error(failure: &Failure) {
+    line(&format!("error: {failure}"));
 }
 
 /// How a run ended: for people, and for machines.

@@ -387,7 +387,7 @@ impl ShardConfig {
 
     fn validate(&self, grid: &GridConfig) -> Result<(), ConfigError> {
         demand(
-            self.downsample > 0 && grid.crop_cells() % self.downsample as usize == 0,
+            self.downsample > 0 && grid.crop_cells().is_multiple_of(self.downsample as usize),
             "shard.downsample",
             self.downsample,
             format!("a divisor of the window's {} cells", grid.crop_cells()),

@@ -7,6 +7,18 @@ use serde::{Deserialize, Serialize};
 const FOOT_M: f64 = 0.3048;
 const INCH_M: f64 = 0.0254;
 
+/// Spellings of units, longest first where one ends in another, in metres.
+const UNITS: [(&str, f64); 8] = [
+    ("metres", 1.0),
+    ("meters", 1.0),
+    ("metre", 1.0),
+    ("meter", 1.0),
+    ("feet", FOOT_M),
+    ("foot", FOOT_M),
+    ("ft", FOOT_M),
+    ("m", 1.0),
+];
+
 /// How well a height is known, best first; the numbers are those of `height_source` in tiles.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
@@ -40,16 +52,6 @@ pub fn parse_length(text: &str) -> Option<f64> {
         return Some(parse_decimal(feet)? * FOOT_M + inches * INCH_M);
     }
     let lower = text.to_ascii_lowercase();
-    const UNITS: [(&str, f64); 8] = [
-        ("metres", 1.0),
-        ("meters", 1.0),
-        ("metre", 1.0),
-        ("meter", 1.0),
-        ("feet", FOOT_M),
-        ("foot", FOOT_M),
-        ("ft", FOOT_M),
-        ("m", 1.0),
-    ];
     UNITS
         .iter()
         .find_map(|(unit, metres)| Some(parse_decimal(lower.strip_suffix(unit)?)? * metres))

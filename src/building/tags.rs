@@ -164,7 +164,13 @@ mod tests {
     #[test]
     fn heights_fall_through_to_the_next_source() {
         use HeightSource::{Default, Height, Levels};
-        let cases: &[(&[(&str, &'static str)], f32, HeightSource, &[Defect])] = &[
+        type Case<'a> = (
+            &'a [(&'a str, &'static str)],
+            f32,
+            HeightSource,
+            &'a [Defect],
+        );
+        let cases: &[Case] = &[
             (
                 &[("building", "yes"), ("height", "12,5")],
                 12.5,

@@ -294,7 +294,9 @@ fn read_nodes(
     progress.begin("reading node coordinates", Some(count(node_blobs)));
     for (file, blobs) in files.iter().zip(node_blobs) {
         let finds = file.map(blobs, progress, |block| nodes.find(block))?;
-        finds.into_iter().for_each(|found| nodes.enter(found));
+        for found in finds {
+            nodes.enter(found);
+        }
     }
     progress.end();
     Ok(nodes)

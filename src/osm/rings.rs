@@ -129,19 +129,19 @@ mod tests {
         /// A ring cut into ways at random, shuffled and reversed at random, is found again.
         #[test]
         fn a_cut_ring_is_found_again(
-            size in 3_usize..40,
-            cuts in prop::collection::btree_set(0_usize..40, 1..8),
+            size in 3_u8..40,
+            cuts in prop::collection::btree_set(0_u8..40, 1..8),
             reversed in any::<u64>(),
             shuffle in any::<prop::sample::Index>(),
         ) {
-            let cuts: Vec<usize> = cuts.into_iter().filter(|&cut| cut < size).collect();
+            let cuts: Vec<u8> = cuts.into_iter().filter(|&cut| cut < size).collect();
             prop_assume!(cuts.len() > 1);
             let mut ways: Vec<Vec<i64>> = (0..cuts.len())
                 .map(|part| {
                     let (from, to) = (cuts[part], cuts[(part + 1) % cuts.len()]);
                     let length = (to + size - from - 1) % size + 1;
                     let mut way: Vec<i64> =
-                        (0..=length).map(|step| ((from + step) % size) as i64).collect();
+                        (0..=length).map(|step| i64::from((from + step) % size)).collect();
                     if reversed >> part & 1 == 1 {
                         way.reverse();
                     }
@@ -158,7 +158,7 @@ mod tests {
             prop_assert_eq!(nodes.first(), nodes.last());
             nodes.pop();
             nodes.sort_unstable();
-            prop_assert_eq!(nodes, (0..size as i64).collect::<Vec<_>>());
+            prop_assert_eq!(nodes, (0..i64::from(size)).collect::<Vec<_>>());
         }
     }
 }

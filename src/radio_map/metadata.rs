@@ -181,7 +181,7 @@ impl RadioMapMetadata {
         })?;
         let missing: Vec<_> = REQUIRED
             .into_iter()
-            .filter(|key| value.get(key).is_none_or(|v| v.is_null()))
+            .filter(|key| value.get(key).is_none_or(serde_json::Value::is_null))
             .collect();
         if !missing.is_empty() {
             return Err(Rejection::new(

@@ -248,10 +248,10 @@ impl OutputDir {
             .files
             .into_inner()
             .expect("no writer panics while it holds the lock");
-        let sums: String = files
+        let lines = files
             .iter()
-            .map(|(name, digest)| format!("{}  {name}\n", digest.sha256))
-            .collect();
+            .map(|(name, digest)| [&digest.sha256, "  ", name, "\n"].concat());
+        let sums: String = lines.collect();
         remove_leftovers(&self.root, &files)?;
         write_atomic(&self.root.join(SUMS), sums.as_bytes())?;
         write_atomic(&self.root.join(MANIFEST), manifest)?;
