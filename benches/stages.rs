@@ -36,20 +36,13 @@ fn median(mut call: impl FnMut()) -> Duration {
 }
 
 fn row(what: &str, time: Duration, per: usize, note: &str) {
-    println!(
-        "{what:<34} {:>10.3} ms  {note}",
-        time.as_secs_f64() * 1e3 / per as f64
-    );
+    println!("{what:<34} {:>10.3} ms  {note}", time.as_secs_f64() * 1e3 / per as f64);
 }
 
 fn main() {
-    let extract = std::env::args()
-        .nth(1)
-        .filter(|argument| !argument.starts_with("--"));
+    let extract = std::env::args().nth(1).filter(|argument| !argument.starts_with("--"));
     let files =
-        [PathBuf::from(extract.unwrap_or_else(|| {
-            "fixtures/helsinki/helsinki.osm.pbf".to_owned()
-        }))];
+        [PathBuf::from(extract.unwrap_or_else(|| "fixtures/helsinki/helsinki.osm.pbf".to_owned()))];
     let config = Config::default();
     let read = || {
         read_buildings(&files, &config.buildings, None, &Area::Whole, &Silent)
@@ -64,50 +57,26 @@ fn main() {
     row("read extract (all threads)", median(|| drop(read())), 1, "");
 
     let source = TileSource::new(&extract.buildings, &config.grid, extract.utm);
-    let mut tiles: Vec<(TileId, HeightGrid)> = source
-        .candidates()
-        .into_iter()
-        .map(|id| (id, source.rasterise(id)))
-        .collect();
+    let mut tiles: Vec<(TileId, HeightGrid)> =
+        source.candidates().into_iter().map(|id| (id, source.rasterise(id))).collect();
     tiles.sort_by(|(_, a), (_, b)| b.statistics.built.total_cmp(&a.statistics.built));
     tiles.truncate(TILES);
     let count = tiles.len();
     let rasterise = median(|| tiles.iter().for_each(|(id, _)| drop(source.rasterise(*id))));
-    row(
-        "rasterise one tile (1 thread)",
-        rasterise,
-        count,
-        "the densest tiles",
-    );
+    row("rasterise one tile (1 thread)", rasterise, count, "the densest tiles");
 
-    let members: Vec<Vec<u8>> = tiles
-        .iter()
-        .map(|(_, tile)| npy_bytes(&tile.height_m))
-        .collect();
+    let members: Vec<Vec<u8>> = tiles.iter().map(|(_, tile)| npy_bytes(&tile.height_m)).collect();
     let raw: usize = members.iter().map(Vec::len).sum();
     for level in [1, 2, 3, 4, 6, 9] {
-        let compress = || {
-            members
-                .iter()
-                .map(|m| npz_bytes(&[("height_m", m.clone())], level).len())
-        };
+        let compress =
+            || members.iter().map(|m| npz_bytes(&[("height_m", m.clone())], level).len());
         let time = median(|| {
             black_box(compress().sum::<usize>());
         });
         let ratio = raw as f64 / compress().sum::<usize>() as f64;
-        row(
-            &format!("npz of one tile, deflate {level}"),
-            time,
-            count,
-            &format!("{ratio:.1} : 1"),
-        );
+        row(&format!("npz of one tile, deflate {level}"), time, count, &format!("{ratio:.1} : 1"));
     }
-    row(
-        "SHA-256 of one raw tile",
-        median(|| drop(sha256_bytes(&members[0]))),
-        1,
-        "",
-    );
+    row("SHA-256 of one raw tile", median(|| drop(sha256_bytes(&members[0]))), 1, "");
 
     let window = |tile: &HeightGrid| {
         let crop = config.grid.crop_offset_cells()
@@ -117,26 +86,15 @@ fn main() {
     };
     let downsample = median(|| tiles.iter().for_each(|(_, tile)| drop(window(tile))));
     row("crop and downsample heights", downsample, count, "");
-    let records: Vec<Vec<u8>> = tiles
-        .iter()
-        .map(|(_, tile)| npy_bytes(&window(tile)))
-        .collect();
+    let records: Vec<Vec<u8>> = tiles.iter().map(|(_, tile)| npy_bytes(&window(tile))).collect();
     for level in [1, 3, 6, 9, 15, 19] {
-        let compress = || {
-            records
-                .iter()
-                .map(|record| compress_frame(record, level).map_or(0, |f| f.len()))
-        };
+        let compress =
+            || records.iter().map(|record| compress_frame(record, level).map_or(0, |f| f.len()));
         let time = median(|| {
             black_box(compress().sum::<usize>());
         });
         let ratio =
             records.iter().map(Vec::len).sum::<usize>() as f64 / compress().sum::<usize>() as f64;
-        row(
-            &format!("frame of heights, zstd {level}"),
-            time,
-            count,
-            &format!("{ratio:.1} : 1"),
-        );
+        row(&format!("frame of heights, zstd {level}"), time, count, &format!("{ratio:.1} : 1"));
     }
 }

@@ -96,14 +96,10 @@ pub(crate) struct RasteriseArgs {
     pub(crate) output: OutputArgs,
     /// Only tiles whose centres lie in this box, in degrees
     #[arg(
-        long,
-        value_name = "W,S,E,N",
-        value_delimiter = ',',
-        num_args = 1,
-        allow_hyphen_values = true,
+        long, value_name = "W,S,E,N", value_parser = bbox, allow_hyphen_values = true,
         conflicts_with = "area"
     )]
-    pub(crate) bbox: Option<Vec<f64>>,
+    pub(crate) bbox: Option<[f64; 4]>,
     /// Only tiles whose centres lie in the polygons of this GeoJSON file
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) area: Option<PathBuf>,
@@ -220,6 +216,14 @@ pub(crate) struct TilesFlags {
     min_built: Option<f64>,
 }
 
+/// Four numbers separated by commas.
+fn bbox(text: &str) -> Result<[f64; 4], String> {
+    let numbers: Result<Vec<f64>, _> =
+        text.split(',').map(|number| number.trim().parse()).collect();
+    let four = numbers.ok().and_then(|numbers| <[f64; 4]>::try_from(numbers).ok());
+    four.ok_or_else(|| "expected four numbers: west,south,east,north in degrees".to_owned())
+}
+
 fn set<T: Clone>(key: &mut T, flag: Option<&T>) {
     if let Some(value) = flag {
         *key = value.clone();
@@ -228,22 +232,14 @@ fn set<T: Clone>(key: &mut T, flag: Option<&T>) {
 
 impl TilesFlags {
     fn apply(&self, config: &mut Config) {
-        let Config {
-            grid,
-            buildings,
-            filter,
-            ..
-        } = config;
+        let Config { grid, buildings, filter, .. } = config;
         set(&mut grid.side_m, self.side.as_ref());
         set(&mut grid.spacing_m, self.spacing.as_ref());
         set(&mut grid.cell_m, self.cell.as_ref());
         set(&mut grid.crop_m, self.crop.as_ref());
         grid.epsg = self.epsg.or(grid.epsg);
         set(&mut buildings.parts, self.parts.as_ref());
-        set(
-            &mut buildings.default_height_m,
-            self.default_height.as_ref(),
-        );
+        set(&mut buildings.default_height_m, self.default_height.as_ref());
         set(&mut filter.min_buildings, self.min_buildings.as_ref());
         set(&mut filter.min_built, self.min_built.as_ref());
     }
@@ -301,10 +297,7 @@ impl DatasetFlags {
     fn apply(&self, config: &mut Config) {
         let Config { shard, split, .. } = config;
         set(&mut shard.downsample, self.downsample.as_ref());
-        set(
-            &mut shard.records_per_shard,
-            self.records_per_shard.as_ref(),
-        );
+        set(&mut shard.records_per_shard, self.records_per_shard.as_ref());
         set(&mut shard.zstd_level, self.zstd_level.as_ref());
         set(&mut split.block_m, self.block.as_ref());
         set(&mut split.seed, self.split_seed.as_ref());

@@ -11,10 +11,11 @@ use crate::failure::Failure;
 
 /// Defaults, overridden by the file, overridden by the flags; validated once.
 pub(crate) fn merged(common: &Common, command: &Command) -> Result<Config, Failure> {
-    let mut config = common
-        .config
-        .as_deref()
-        .map_or_else(|| Ok(Config::default()), read)?;
+    let mut config = common.config.as_deref().map_or_else(|| Ok(Config::default()), read)?;
+    // The file by itself first, so that its mistakes are told from those of the flags.
+    if let (Some(path), Err(error)) = (&common.config, config.validate()) {
+        return Err(Failure::input(format!("{}: {error}", path.display())));
+    }
     command.apply(&mut config);
     config.validate()?;
     Ok(config)

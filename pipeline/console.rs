@@ -30,18 +30,11 @@ struct Phase {
 
 impl Console {
     pub(crate) fn new(quiet: bool) -> Self {
-        Self {
-            quiet,
-            terminal: std::io::stderr().is_terminal(),
-            phase: Mutex::new(None),
-        }
+        Self { quiet, terminal: std::io::stderr().is_terminal(), phase: Mutex::new(None) }
     }
 
     fn with_phase(&self, act: impl FnOnce(&mut Option<Phase>)) {
-        act(&mut self
-            .phase
-            .lock()
-            .expect("no reporter panics while it holds the lock"));
+        act(&mut self.phase.lock().expect("no reporter panics while it holds the lock"));
     }
 }
 
@@ -67,12 +60,7 @@ impl Progress for Console {
             });
         }
         self.with_phase(|current| {
-            *current = Some(Phase {
-                name: phase.to_owned(),
-                total,
-                done: 0,
-                bar,
-            });
+            *current = Some(Phase { name: phase.to_owned(), total, done: 0, bar });
         });
     }
 
@@ -129,11 +117,7 @@ pub(crate) struct Report {
 impl Report {
     pub(crate) fn new(text: String, summary: &impl Serialize) -> Result<Self, Failure> {
         let json = serde_json::to_string(summary).map_err(Failure::running)?;
-        Ok(Self {
-            text,
-            json,
-            failed: None,
-        })
+        Ok(Self { text, json, failed: None })
     }
 
     /// The report stands, but the run ends as invalid input for this reason.
@@ -143,8 +127,6 @@ impl Report {
     }
 
     pub(crate) fn outcome(&self) -> Result<(), Failure> {
-        self.failed
-            .clone()
-            .map_or(Ok(()), |reason| Err(Failure::input(reason)))
+        self.failed.clone().map_or(Ok(()), |reason| Err(Failure::input(reason)))
     }
 }

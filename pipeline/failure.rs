@@ -16,18 +16,12 @@ pub(crate) struct Failure {
 impl Failure {
     /// The machine failed.
     pub(crate) fn running(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
-        Self {
-            fault: Fault::Running,
-            error: error.into(),
-        }
+        Self { fault: Fault::Running, error: error.into() }
     }
 
     /// The input is wrong.
     pub(crate) fn input(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
-        Self {
-            fault: Fault::Input,
-            error: error.into(),
-        }
+        Self { fault: Fault::Input, error: error.into() }
     }
 
     /// 1 for a failure while running, 3 for invalid input; clap itself exits with 2.
@@ -47,10 +41,7 @@ impl Failure {
 
 impl<E: HasFault + Send + Sync + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self {
-            fault: error.fault(),
-            error: Box::new(error),
-        }
+        Self { fault: error.fault(), error: Box::new(error) }
     }
 }
 

@@ -53,16 +53,9 @@ fn summary(manifest: &RsrpManifest) -> serde_json::Value {
 }
 
 fn text(manifest: &RsrpManifest) -> String {
-    let codes: Vec<_> = manifest
-        .rejected
-        .iter()
-        .map(|(code, count)| format!("{count} {code}"))
-        .collect();
-    let reasons = if codes.is_empty() {
-        String::new()
-    } else {
-        format!(": {}", codes.join(", "))
-    };
+    let codes: Vec<_> =
+        manifest.rejected.iter().map(|(code, count)| format!("{count} {code}")).collect();
+    let reasons = if codes.is_empty() { String::new() } else { format!(": {}", codes.join(", ")) };
     format!(
         "{} maps imported, {} rejected{reasons} (rejected.csv lists them), {} other files ignored\n",
         manifest.maps.len(),

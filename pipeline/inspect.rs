@@ -1,13 +1,12 @@
 //! `holescout inspect`: a dataset's figures, or one of its records.
 
 use holescout::dataset::{
-    Dataset, Grids, PanelStyle, Record, hole_share, panels_png, statistics_of,
+    Dataset, Grids, PanelStyle, Record, hole_share, panels_png, record_json, records_csv,
+    statistics_of,
 };
 use holescout::grid::TileId;
 use holescout::store::write_atomic;
 use holescout::units::Dbm;
-use ndarray::Array2;
-use serde_json::{Value, json};
 
 use crate::cli::InspectArgs;
 use crate::console::Report;
@@ -33,20 +32,13 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Report, Failure> {
 
 fn one_record(dataset: &Dataset, id: &str, args: &InspectArgs) -> Result<Report, Failure> {
     let id: TileId = id.parse().map_err(Failure::input)?;
-    let record = dataset.record(id)?;
-    let cells = dataset.manifest().cells as usize;
-    let grids = record.sound_grids(cells).map_err(Failure::input)?;
+    let (record, grids) = dataset.record_with_grids(id)?;
     if let Some(path) = &args.png {
-        let threshold = args
-            .hole_threshold
-            .map_or(PanelStyle::default().hole_threshold, Dbm);
-        let style = PanelStyle {
-            scale: args.scale,
-            hole_threshold: threshold,
-        };
+        let threshold = args.hole_threshold.map_or(PanelStyle::default().hole_threshold, Dbm);
+        let style = PanelStyle { scale: args.scale, hole_threshold: threshold };
         write_atomic(path, &panels_png(&record, &grids, style))?;
     }
-    Report::new(text(&record, &grids), &as_json(&record, &grids))
+    Report::new(text(&record, &grids), &record_json(&record, &grids))
 }
 
 fn text(record: &Record, grids: &Grids) -> String {
@@ -73,71 +65,4 @@ fn text(record: &Record, grids: &Grids) -> String {
         record.provenance.radio_map.value_kind.name(),
         record.radio.sionna_version,
     )
-}
-
-/// The record with its arrays as nested lists instead of `.npy` bytes.
-fn as_json(record: &Record, grids: &Grids) -> Value {
-    fn rows<T: Copy + serde::Serialize>(array: &Array2<T>) -> Value {
-        json!(
-            array
-                .rows()
-                .into_iter()
-                .map(|row| row.to_vec())
-                .collect::<Vec<_>>()
-        )
-    }
-    let mut value = json!(record);
-    value["height_m"] = rows(&grids.height_m);
-    value["rsrp_dbm"] = rows(&grids.rsrp_dbm);
-    value["mask"] = rows(&grids.mask);
-    value
-}
-
-/// One line a record: what one would sort and filter by.
-fn records_csv(dataset: &Dataset) -> Result<Vec<u8>, Failure> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    let header = [
-        "id",
-        "split",
-        "lon",
-        "lat",
-        "reached",
-        "unreached",
-        "building",
-        "hole_share",
-        "max_height_m",
-        "shard",
-        "frame",
-    ];
-    csv.write_record(header).map_err(Failure::running)?;
-    let manifest = dataset.manifest();
-    for entry in &manifest.records {
-        let record = dataset.record(entry.id)?;
-        let grids = record
-            .sound_grids(manifest.cells as usize)
-            .map_err(Failure::input)?;
-        let statistics = statistics_of(&record, &grids);
-        let [lon, lat] = record.center_lon_lat;
-        let row = [
-            entry.id.to_string(),
-            record.split.to_string(),
-            format!("{lon:.7}"),
-            format!("{lat:.7}"),
-            statistics.cells.reached.to_string(),
-            statistics.cells.unreached.to_string(),
-            statistics.cells.building.to_string(),
-            format!("{:.6}", hole_share(&statistics)),
-            grids
-                .height_m
-                .iter()
-                .copied()
-                .fold(0.0, f32::max)
-                .to_string(),
-            entry.shard.clone(),
-            entry.frame.to_string(),
-        ];
-        csv.write_record(row).map_err(Failure::running)?;
-    }
-    csv.into_inner()
-        .map_err(|error| Failure::running(error.to_string()))
 }

@@ -35,9 +35,7 @@ fn main() -> ExitCode {
 
 fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
     if let Some(threads) = cli.common.threads {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads.get())
-            .build_global();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.get()).build_global();
         pool.map_err(Failure::running)?;
     }
     let config = config::merged(&cli.common, &cli.command)?;
@@ -55,14 +53,7 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
 /// The report as text, or with `--json` as one line; either way the end of standard output.
 fn print(report: &Report, json: bool) -> Result<(), Failure> {
     let mut stdout = std::io::stdout().lock();
-    let text = if json {
-        format!("{}\n", report.json)
-    } else {
-        report.text.clone()
-    };
-    stdout
-        .write_all(text.as_bytes())
-        .and_then(|()| stdout.flush())
-        .map_err(Failure::running)?;
+    let text = if json { format!("{}\n", report.json) } else { report.text.clone() };
+    stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()).map_err(Failure::running)?;
     report.outcome()
 }

@@ -19,12 +19,7 @@ pub(crate) fn run(
     console: &Console,
 ) -> Result<Report, Failure> {
     let area = match (&args.bbox, &args.area) {
-        (Some(bbox), _) => {
-            let four = <[f64; 4]>::try_from(bbox.as_slice());
-            Area::from_bbox(
-                four.map_err(|_| Failure::input("--bbox takes four numbers: W,S,E,N"))?,
-            )?
-        }
+        (Some(bbox), _) => Area::from_bbox(*bbox)?,
         (None, Some(path)) => Area::from_geojson(path)?,
         (None, None) => Area::Whole,
     };
@@ -72,10 +67,8 @@ fn text(manifest: &TilesManifest) -> String {
         buildings.from_default,
     );
     for (action, codes) in &manifest.problems {
-        let codes: Vec<_> = codes
-            .iter()
-            .map(|(code, count)| format!("{count} {}", code.name()))
-            .collect();
+        let codes: Vec<_> =
+            codes.iter().map(|(code, count)| format!("{count} {}", code.name())).collect();
         let what = match action {
             Action::Skipped => "skipped",
             Action::Repaired => "repaired",

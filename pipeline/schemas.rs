@@ -40,16 +40,11 @@ pub(crate) fn run(args: &SchemasArgs) -> Result<Report, Failure> {
     let count = schemas.len();
     let state = if args.check { "up to date" } else { "written" };
     let summary = json!({ "stage": "schemas", "schemas": count, "state": state });
-    Report::new(
-        format!("{}: {count} schemas {state}\n", args.out.display()),
-        &summary,
-    )
+    Report::new(format!("{}: {count} schemas {state}\n", args.out.display()), &summary)
 }
 
 fn write(directory: &Path, schemas: &[(String, Vec<u8>)]) -> Result<(), FileError> {
-    schemas
-        .iter()
-        .try_for_each(|(name, text)| write_atomic(&directory.join(name), text))
+    schemas.iter().try_for_each(|(name, text)| write_atomic(&directory.join(name), text))
 }
 
 fn all() -> Vec<(String, Vec<u8>)> {
@@ -66,8 +61,6 @@ fn all() -> Vec<(String, Vec<u8>)> {
 }
 
 fn schema<T: JsonSchema>(name: &str) -> (String, Vec<u8>) {
-    let schema = SchemaSettings::draft2020_12()
-        .into_generator()
-        .into_root_schema_for::<T>();
+    let schema = SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
     (format!("{name}.json"), to_json(&schema))
 }

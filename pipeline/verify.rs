@@ -29,11 +29,8 @@ pub(crate) fn run(args: &VerifyArgs, console: &Console) -> Result<Report, Failur
     let directory = args.directory.display();
     if failures.is_empty() {
         let (files, items) = (verification.files, verification.items);
-        writeln!(
-            text,
-            "{directory}: sound: {files} files and {items} items verified"
-        )
-        .expect("writing to a string cannot fail");
+        writeln!(text, "{directory}: sound: {files} files and {items} items verified")
+            .expect("writing to a string cannot fail");
         return Report::new(text, &summary);
     }
     let report = Report::new(text, &summary)?;

@@ -26,7 +26,7 @@ pub trait HasFault: std::error::Error {
 pub struct FileError {
     /// The file.
     pub path: PathBuf,
-    /// What was attempted, as a verb: "read", "write", "rename".
+    /// What was attempted, as a verb; "open", "read" and "list" are about inputs.
     pub action: &'static str,
     /// The operating system's reason.
     pub source: std::io::Error,
@@ -36,23 +36,25 @@ impl FileError {
     /// For `map_err`: wraps an I/O error with the path and the action.
     pub fn new(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
-        move |source| Self {
-            path,
-            action,
-            source,
-        }
+        move |source| Self { path, action, source }
     }
 }
 
 impl HasFault for FileError {
-    /// A file that is missing or ends early is the input's fault, the rest is the machine's.
+    /// A file that is missing or ends early when it is read is the input's fault, the rest is
+    /// the machine's.
     fn fault(&self) -> Fault {
+        let reads = matches!(self.action, "open" | "read" | "list");
         match self.source.kind() {
             std::io::ErrorKind::NotFound
             | std::io::ErrorKind::UnexpectedEof
             | std::io::ErrorKind::InvalidData
             | std::io::ErrorKind::IsADirectory
-            | std::io::ErrorKind::NotADirectory => Fault::Input,
+            | std::io::ErrorKind::NotADirectory
+                if reads =>
+            {
+                Fault::Input
+            }
             _ => Fault::Running,
         }
     }

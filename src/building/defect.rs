@@ -46,6 +46,10 @@ pub enum Defect {
     TooFewPoints,
     /// A ring whose points lie on a line.
     ZeroArea,
+    /// More points than any building has (10,000): testing them for crossings would take long.
+    TooManyPoints,
+    /// Wider than any building is (10 km).
+    TooLarge,
     /// A relation without any closed outer ring.
     NoOuterRing,
     /// A relation that uses ways the extract lacks; the other rings are kept.
@@ -91,6 +95,8 @@ impl Defect {
             Self::MissingNodes => "missing_nodes",
             Self::TooFewPoints => "too_few_points",
             Self::ZeroArea => "zero_area",
+            Self::TooManyPoints => "too_many_points",
+            Self::TooLarge => "too_large",
             Self::NoOuterRing => "no_outer_ring",
             Self::MissingMembers => "missing_members",
             Self::UnclosedRing => "unclosed_ring",
@@ -120,6 +126,8 @@ impl Defect {
             | Self::MissingNodes
             | Self::TooFewPoints
             | Self::ZeroArea
+            | Self::TooManyPoints
+            | Self::TooLarge
             | Self::NoOuterRing
             | Self::NotProjectable => Action::Skipped,
             Self::MissingMembers

@@ -39,16 +39,8 @@ pub enum HeightSource {
 pub fn parse_length(text: &str) -> Option<f64> {
     let text = text.trim();
     if let Some((feet, rest)) = text.split_once(['\'', '′']) {
-        let inches = rest
-            .trim()
-            .trim_end_matches(['"', '″'])
-            .trim_end_matches("''")
-            .trim();
-        let inches = if inches.is_empty() {
-            Some(0.0)
-        } else {
-            parse_decimal(inches)
-        }?;
+        let inches = rest.trim().trim_end_matches(['"', '″']).trim_end_matches("''").trim();
+        let inches = if inches.is_empty() { Some(0.0) } else { parse_decimal(inches) }?;
         return Some(parse_decimal(feet)? * FOOT_M + inches * INCH_M);
     }
     let lower = text.to_ascii_lowercase();

@@ -6,14 +6,7 @@ use crate::config::BuildingsConfig;
 
 /// Values of `building` and `building:part` for what is not there, or not yet, or no more.
 /// (Lifecycle *prefixes* such as `demolished:building` are other keys and never match.)
-const NOT_THERE: [&str; 6] = [
-    "no",
-    "proposed",
-    "planned",
-    "demolished",
-    "razed",
-    "removed",
-];
+const NOT_THERE: [&str; 6] = ["no", "proposed", "planned", "demolished", "razed", "removed"];
 
 /// Whether an object is a whole building or a part of one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -71,11 +64,7 @@ pub fn classify<'a>(tag: impl Fn(&str) -> Option<&'a str>, config: &BuildingsCon
     if elevated {
         defects.push(Defect::Elevated);
     }
-    debug_assert!(
-        defects
-            .iter()
-            .all(|defect| defect.action() != Action::Skipped)
-    );
+    debug_assert!(defects.iter().all(|defect| defect.action() != Action::Skipped));
     Classified::Building(
         Attributes {
             kind,
@@ -111,11 +100,7 @@ fn height<'a>(
             None => defects.push(Defect::HeightUnparsable),
         }
     }
-    let guess = config
-        .default_heights_m
-        .get(value)
-        .copied()
-        .unwrap_or(config.default_height_m);
+    let guess = config.default_heights_m.get(value).copied().unwrap_or(config.default_height_m);
     (guess, HeightSource::Default)
 }
 
@@ -164,35 +149,17 @@ mod tests {
     #[test]
     fn heights_fall_through_to_the_next_source() {
         use HeightSource::{Default, Height, Levels};
-        type Case<'a> = (
-            &'a [(&'a str, &'static str)],
-            f32,
-            HeightSource,
-            &'a [Defect],
-        );
+        type Case<'a> = (&'a [(&'a str, &'static str)], f32, HeightSource, &'a [Defect]);
         let cases: &[Case] = &[
+            (&[("building", "yes"), ("height", "12,5")], 12.5, Height, &[]),
             (
-                &[("building", "yes"), ("height", "12,5")],
-                12.5,
-                Height,
-                &[],
-            ),
-            (
-                &[
-                    ("building", "yes"),
-                    ("height", "0"),
-                    ("building:levels", "2"),
-                ],
+                &[("building", "yes"), ("height", "0"), ("building:levels", "2")],
                 6.0,
                 Levels,
                 &[Defect::HeightImplausible],
             ),
             (
-                &[
-                    ("building", "yes"),
-                    ("building:levels", "3"),
-                    ("roof:levels", "1"),
-                ],
+                &[("building", "yes"), ("building:levels", "3"), ("roof:levels", "1")],
                 12.0,
                 Levels,
                 &[],
@@ -209,69 +176,30 @@ mod tests {
                 &[],
             ),
             (&[("building", "garage")], 2.5, Default, &[]),
-            (
-                &[("building", "yes"), ("height", "NaN")],
-                6.0,
-                Default,
-                &[Defect::HeightImplausible],
-            ),
-            (
-                &[("building", "yes"), ("height", "1e9")],
-                6.0,
-                Default,
-                &[Defect::HeightImplausible],
-            ),
+            (&[("building", "yes"), ("height", "NaN")], 6.0, Default, &[Defect::HeightImplausible]),
+            (&[("building", "yes"), ("height", "1e9")], 6.0, Default, &[Defect::HeightImplausible]),
             (
                 &[("building", "yes"), ("height", "1e-60")],
                 6.0,
                 Default,
                 &[Defect::HeightImplausible],
             ),
-            (
-                &[("building", "yes"), ("height", "tall")],
-                6.0,
-                Default,
-                &[Defect::HeightUnparsable],
-            ),
+            (&[("building", "yes"), ("height", "tall")], 6.0, Default, &[Defect::HeightUnparsable]),
         ];
         for (tags, height, source, defects) in cases {
             let (attributes, found) = building(tags);
-            assert_eq!(
-                (attributes.height_m, attributes.source),
-                (*height, *source),
-                "{tags:?}"
-            );
+            assert_eq!((attributes.height_m, attributes.source), (*height, *source), "{tags:?}");
             assert_eq!(found, *defects, "{tags:?}");
         }
     }
 
     #[test]
     fn what_begins_above_the_flight_height_is_elevated() {
-        assert!(
-            building(&[("building:part", "yes"), ("min_height", "5")])
-                .0
-                .elevated
-        );
-        assert!(
-            building(&[("building:part", "yes"), ("building:min_level", "1")])
-                .0
-                .elevated
-        );
-        assert!(
-            building(&[("building", "roof"), ("height", "6")])
-                .0
-                .elevated
-        );
-        assert!(
-            !building(&[("building", "yes"), ("min_height", "2")])
-                .0
-                .elevated
-        );
-        assert!(
-            !building(&[("building", "yes"), ("min_height", "nonsense")])
-                .0
-                .elevated
-        );
+        assert!(building(&[("building:part", "yes"), ("min_height", "5")]).0.elevated);
+        assert!(building(&[("building:part", "yes"), ("building:min_level", "1")]).0.elevated);
+        assert!(building(&[("building", "roof"), ("height", "6")]).0.elevated);
+        assert!(!building(&[("building", "yes"), ("min_height", "2")]).0.elevated);
+        assert!(!building(&[("building", "yes"), ("min_height", "nonsense")]).0.elevated);
     }
 
     #[test]
@@ -282,18 +210,9 @@ mod tests {
             [("building", "proposed"), ("height", "3")],
             [("building", "yes"), ("location", "underground")],
         ] {
-            assert_eq!(
-                classify_tags(&tags),
-                Classified::LeftOut(Defect::NotABuilding)
-            );
+            assert_eq!(classify_tags(&tags), Classified::LeftOut(Defect::NotABuilding));
         }
-        assert_eq!(
-            classify_tags(&[("demolished:building", "yes")]),
-            Classified::Unrelated
-        );
-        assert_eq!(
-            classify_tags(&[("landuse", "grass")]),
-            Classified::Unrelated
-        );
+        assert_eq!(classify_tags(&[("demolished:building", "yes")]), Classified::Unrelated);
+        assert_eq!(classify_tags(&[("landuse", "grass")]), Classified::Unrelated);
     }
 }

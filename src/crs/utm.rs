@@ -85,14 +85,8 @@ impl Utm {
     /// [`CrsError::NotUtm`] for every other code.
     pub fn from_epsg(epsg: u32) -> Result<Self, CrsError> {
         match epsg {
-            32601..=32660 => Ok(Self {
-                zone: (epsg - 32600) as u8,
-                north: true,
-            }),
-            32701..=32760 => Ok(Self {
-                zone: (epsg - 32700) as u8,
-                north: false,
-            }),
+            32601..=32660 => Ok(Self { zone: (epsg - 32600) as u8, north: true }),
+            32701..=32760 => Ok(Self { zone: (epsg - 32700) as u8, north: false }),
             _ => Err(CrsError::NotUtm(epsg)),
         }
     }
@@ -113,10 +107,7 @@ impl Utm {
             return Err(CrsError::Latitude(lat));
         }
         let zone = ((lon + 180.0) / 6.0).floor().rem_euclid(60.0) as u8 + 1;
-        Ok(Self {
-            zone,
-            north: lat >= 0.0,
-        })
+        Ok(Self { zone, north: lat >= 0.0 })
     }
 
     /// The EPSG code.
@@ -190,18 +181,11 @@ impl Utm {
                 / ((1.0 - e2) * root);
         }
         let lambda = libm::atan2(sinh_eta1, cos_xi1);
-        [
-            self.central_meridian() + lambda.to_degrees(),
-            libm::atan(tau).to_degrees(),
-        ]
+        [self.central_meridian() + lambda.to_degrees(), libm::atan(tau).to_degrees()]
     }
 
     fn false_northing(self) -> f64 {
-        if self.north {
-            0.0
-        } else {
-            FALSE_NORTHING_SOUTH
-        }
+        if self.north { 0.0 } else { FALSE_NORTHING_SOUTH }
     }
 }
 
@@ -233,27 +217,9 @@ mod tests {
 
     /// Values of PROJ 9.5 (`pyproj.Transformer`, EPSG:4326 to the zone), in metres.
     const PROJ: [(u32, f64, f64, f64, f64); 4] = [
-        (
-            32610,
-            -121.886_329,
-            37.338_208,
-            598_651.117_537_603_1,
-            4_132_973.499_016_517_3,
-        ),
-        (
-            32635,
-            24.941_024,
-            60.173_324,
-            385_768.768_017_990_1,
-            6_672_495.046_337_798,
-        ),
-        (
-            32756,
-            151.209_296,
-            -33.868_820,
-            334_368.302_264_179_3,
-            6_250_946.121_011_301,
-        ),
+        (32610, -121.886_329, 37.338_208, 598_651.117_537_603_1, 4_132_973.499_016_517_3),
+        (32635, 24.941_024, 60.173_324, 385_768.768_017_990_1, 6_672_495.046_337_798),
+        (32756, 151.209_296, -33.868_820, 334_368.302_264_179_3, 6_250_946.121_011_301),
         (32631, 7.9, 0.0, 1_045_917.683_237_430_3, 0.0),
     ];
 
@@ -262,14 +228,8 @@ mod tests {
         for (epsg, lon, lat, easting, northing) in PROJ {
             let utm = Utm::from_epsg(epsg).expect("a UTM code");
             let [e, n] = utm.forward(lon, lat).expect("in reach");
-            assert!(
-                (e - easting).abs() < 1e-6,
-                "EPSG:{epsg} easting {e} against {easting}"
-            );
-            assert!(
-                (n - northing).abs() < 1e-6,
-                "EPSG:{epsg} northing {n} against {northing}"
-            );
+            assert!((e - easting).abs() < 1e-6, "EPSG:{epsg} easting {e} against {easting}");
+            assert!((n - northing).abs() < 1e-6, "EPSG:{epsg} northing {n} against {northing}");
             let [lon_back, lat_back] = utm.inverse(e, n);
             assert!((lon_back - lon).abs() < 1e-12 && (lat_back - lat).abs() < 1e-12);
         }
@@ -283,10 +243,6 @@ mod tests {
         assert_eq!(Utm::from_epsg(3857), Err(CrsError::NotUtm(3857)));
         assert_eq!(Utm::from_zone(0, true), None);
         let zone10 = Utm::from_epsg(32610).expect("a UTM code");
-        assert_eq!(
-            zone10.forward(0.0, 10.0),
-            None,
-            "123° away from the central meridian"
-        );
+        assert_eq!(zone10.forward(0.0, 10.0), None, "123° away from the central meridian");
     }
 }

@@ -58,10 +58,7 @@ pub(super) fn readme(manifest: &DatasetManifest) -> String {
     for (split, statistics) in &manifest.statistics {
         text.push_str(&row(split.name(), statistics));
     }
-    let built = manifest
-        .statistics
-        .values()
-        .map(|statistics| statistics.built_cells);
+    let built = manifest.statistics.values().map(|statistics| statistics.built_cells);
     let (mut tagged, mut levels, mut guessed) = (0, 0, 0);
     for cells in built {
         tagged += cells.height;

@@ -52,9 +52,7 @@ pub fn downsample_rsrp(
         let outdoor = kinds.iter().filter(|&&kind| kind != MASK_BUILDING).count();
         let reached = || {
             let pairs = values.iter().zip(kinds.iter());
-            pairs
-                .filter(|(_, kind)| **kind == MASK_REACHED)
-                .map(|(value, _)| f64::from(*value))
+            pairs.filter(|(_, kind)| **kind == MASK_REACHED).map(|(value, _)| f64::from(*value))
         };
         let count = reached().count();
         if outdoor == 0 {
@@ -94,10 +92,7 @@ fn blocks<T>(
     mut of_block: impl FnMut(Block) -> T,
 ) -> Array2<T> {
     let whole = rows % factor == 0 && columns % factor == 0;
-    assert!(
-        whole,
-        "{rows} × {columns} cells are no whole blocks of {factor}"
-    );
+    assert!(whole, "{rows} × {columns} cells are no whole blocks of {factor}");
     Array2::from_shape_fn((rows / factor, columns / factor), |(row, column)| {
         let range = |index: usize| index * factor..(index + 1) * factor;
         of_block((range(row), range(column)))
@@ -122,18 +117,12 @@ mod tests {
 
     #[test]
     fn rsrp_is_averaged_as_power_over_outdoor_cells() {
-        let rsrp = array![
-            [-90.0, -160.0, -100.0, -160.0],
-            [-160.0, -160.0, -160.0, -160.0]
-        ];
+        let rsrp = array![[-90.0, -160.0, -100.0, -160.0], [-160.0, -160.0, -160.0, -160.0]];
         // Block 1: reached, unreached, building, building. Block 2: one outdoor cell, reached.
         let mask = array![[0, 2, 0, 1], [1, 1, 1, 1]];
         let by = |method| downsample_rsrp(rsrp.view(), mask.view(), 2, method, FLOOR);
         let (mean, kinds) = by(RsrpDownsampling::LinearMean);
-        assert!(
-            (mean[[0, 0]] + 93.0103).abs() < 1e-4,
-            "half the power of -90 dBm: {mean}"
-        );
+        assert!((mean[[0, 0]] + 93.0103).abs() < 1e-4, "half the power of -90 dBm: {mean}");
         assert_eq!((mean[[0, 1]], kinds), (-100.0, array![[0, 0]]));
         assert_eq!(by(RsrpDownsampling::MeanDb).0, array![[-90.0, -100.0]]);
         let (nearest, kinds) = by(RsrpDownsampling::Nearest);
@@ -144,13 +133,8 @@ mod tests {
     fn blocks_without_a_path_or_without_outdoors() {
         let rsrp = Array2::from_elem((2, 4), -160.0);
         let mask = array![[2, 1, 1, 1], [1, 1, 1, 1]];
-        let (values, kinds) = downsample_rsrp(
-            rsrp.view(),
-            mask.view(),
-            2,
-            RsrpDownsampling::LinearMean,
-            FLOOR,
-        );
+        let (values, kinds) =
+            downsample_rsrp(rsrp.view(), mask.view(), 2, RsrpDownsampling::LinearMean, FLOOR);
         assert_eq!((values, kinds), (array![[-160.0, -160.0]], array![[2, 1]]));
     }
 }

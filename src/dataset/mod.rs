@@ -13,6 +13,7 @@ mod split;
 mod stage;
 mod statistics;
 mod verify;
+mod view;
 
 pub use downsample::{downsample_heights, downsample_rsrp};
 pub use read::{Dataset, ReadError};
@@ -22,3 +23,4 @@ pub use split::{SplitAssignment, assign_splits};
 pub use stage::{ShardError, ShardJob, build_dataset};
 pub use statistics::{hole_share, statistics_of};
 pub use verify::{Verification, VerifyFailure, verify};
+pub use view::{record_json, records_csv};

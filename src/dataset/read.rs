@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::record::{Record, RecordError};
+use super::record::{Grids, Record, RecordError};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, load};
@@ -50,10 +50,11 @@ impl HasFault for ReadError {
     fn fault(&self) -> Fault {
         match self {
             Self::Manifest(error) => error.fault(),
-            Self::Shard {
-                source: SeekError::Io(error),
-                ..
-            } if error.kind() == std::io::ErrorKind::PermissionDenied => Fault::Running,
+            Self::Shard { source: SeekError::Io(error), .. }
+                if error.kind() == std::io::ErrorKind::PermissionDenied =>
+            {
+                Fault::Running
+            }
             _ => Fault::Input,
         }
     }
@@ -74,16 +75,8 @@ impl Dataset {
     /// [`ReadError::Manifest`], also for a build that was interrupted.
     pub fn open(root: &Path) -> Result<Self, ReadError> {
         let (manifest, _) = load::<DatasetManifest>(root, "shard", DatasetManifest::SCHEMA)?;
-        let index = manifest
-            .records
-            .iter()
-            .map(|entry| (entry.id, entry.clone()))
-            .collect();
-        Ok(Self {
-            root: root.to_owned(),
-            manifest,
-            index,
-        })
+        let index = manifest.records.iter().map(|entry| (entry.id, entry.clone())).collect();
+        Ok(Self { root: root.to_owned(), manifest, index })
     }
 
     /// The manifest.
@@ -100,14 +93,24 @@ impl Dataset {
         let entry = self.index.get(&id).ok_or_else(|| ReadError::Unknown {
             id,
             records: self.index.len(),
-            example: self
-                .index
-                .keys()
-                .next()
-                .map_or_else(String::new, ToString::to_string),
+            example: self.index.keys().next().map_or_else(String::new, ToString::to_string),
         })?;
         let mut shard = ShardReader::open(&self.root.join(&entry.shard))?;
         shard.record(entry.frame as usize)
+    }
+
+    /// Reads the record of a tile with its arrays, whose values are checked.
+    ///
+    /// # Errors
+    /// [`ReadError`] names file and frame.
+    pub fn record_with_grids(&self, id: TileId) -> Result<(Record, Grids), ReadError> {
+        let record = self.record(id)?;
+        let grids = record.sound_grids(self.manifest.cells as usize).map_err(|source| {
+            let entry = &self.index[&id];
+            let shard = self.root.join(&entry.shard);
+            ReadError::Record { shard, frame: entry.frame as usize, source }
+        })?;
+        Ok((record, grids))
     }
 
     /// All records of a shard, one after the other.
@@ -132,10 +135,7 @@ pub(super) struct ShardReader {
 
 impl ShardReader {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let failed = |source| ReadError::Shard {
-            shard: path.to_owned(),
-            source,
-        };
+        let failed = |source| ReadError::Shard { shard: path.to_owned(), source };
         let (file, table) = SeekTable::open(path).map_err(|error| match error {
             SeekError::Io(source) => {
                 let named = FileError::new("read", path)(source);
@@ -143,11 +143,7 @@ impl ShardReader {
             }
             other => failed(other),
         })?;
-        Ok(Self {
-            path: path.to_owned(),
-            file,
-            table,
-        })
+        Ok(Self { path: path.to_owned(), file, table })
     }
 
     pub(super) fn len(&self) -> usize {
@@ -158,10 +154,7 @@ impl ShardReader {
         let bytes = self
             .table
             .frame(&mut self.file, frame)
-            .map_err(|source| ReadError::Shard {
-                shard: self.path.clone(),
-                source,
-            })?;
+            .map_err(|source| ReadError::Shard { shard: self.path.clone(), source })?;
         Record::decode(&bytes).map_err(|source| ReadError::Record {
             shard: self.path.clone(),
             frame,

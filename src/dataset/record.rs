@@ -142,10 +142,7 @@ impl Record {
         if record.schema == Self::SCHEMA {
             Ok(record)
         } else {
-            Err(RecordError::Encoding(format!(
-                "schema is {:?}",
-                record.schema
-            )))
+            Err(RecordError::Encoding(format!("schema is {:?}", record.schema)))
         }
     }
 
@@ -186,11 +183,7 @@ impl Record {
         let grids = self.grids(cells)?;
         let wrong = |field, found: String, at: (usize, usize), expected: &str| {
             let found = format!("{found} at row {}, column {}", at.0, at.1);
-            Err(RecordError::Value {
-                field,
-                found,
-                expected: expected.to_owned(),
-            })
+            Err(RecordError::Value { field, found, expected: expected.to_owned() })
         };
         let floor = self.floor_dbm.0 as f32;
         for (at, &height) in grids.height_m.indexed_iter() {
@@ -207,12 +200,7 @@ impl Record {
                 MASK_REACHED if !is_building => {}
                 MASK_UNREACHED if !is_building && rsrp == floor => {}
                 MASK_UNREACHED if !is_building => {
-                    return wrong(
-                        "rsrp_dbm",
-                        rsrp.to_string(),
-                        at,
-                        "the floor where mask is 2",
-                    );
+                    return wrong("rsrp_dbm", rsrp.to_string(), at, "the floor where mask is 2");
                 }
                 _ => {
                     let found = format!("{kind} under a height of {height} m");
@@ -309,16 +297,10 @@ pub(super) mod tests {
         assert!(error(&|grids| grids.mask[[0, 1]] = 0).contains("mask"));
         assert!(error(&|grids| grids.mask[[0, 0]] = 3).contains("row 0, column 0"));
         assert!(matches!(record.grids(3), Err(RecordError::Value { .. })));
-        assert!(matches!(
-            Record::decode(b"\x80"),
-            Err(RecordError::Encoding(_))
-        ));
+        assert!(matches!(Record::decode(b"\x80"), Err(RecordError::Encoding(_))));
         let mut damaged = record.clone();
         damaged.mask = ByteBuf::from(vec![1, 2, 3]);
-        assert!(matches!(
-            damaged.grids(2),
-            Err(RecordError::Array { field: "mask", .. })
-        ));
+        assert!(matches!(damaged.grids(2), Err(RecordError::Array { field: "mask", .. })));
         let mut future = record;
         future.schema = "record.v2".to_owned();
         assert!(Record::decode(&future.encode()).is_err());

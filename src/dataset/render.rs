@@ -35,10 +35,7 @@ pub struct PanelStyle {
 
 impl Default for PanelStyle {
     fn default() -> Self {
-        Self {
-            scale: 3,
-            hole_threshold: Dbm(-100.0),
-        }
+        Self { scale: 3, hole_threshold: Dbm(-100.0) }
     }
 }
 
@@ -50,11 +47,7 @@ struct Canvas {
 
 impl Canvas {
     fn new(width: usize, height: usize) -> Self {
-        Self {
-            width,
-            height,
-            pixels: [WHITE].concat().repeat(width * height),
-        }
+        Self { width, height, pixels: [WHITE].concat().repeat(width * height) }
     }
 
     fn set(&mut self, x: usize, y: usize, color: Rgb) {
@@ -133,11 +126,7 @@ pub fn panels_png(record: &Record, grids: &Grids, style: PanelStyle) -> Vec<u8> 
 
     let highest = grids.height_m.iter().copied().fold(1.0_f32, f32::max);
     let heights = grids.height_m.mapv(|height| {
-        if height > 0.0 {
-            height_color(f64::from(height / highest))
-        } else {
-            WHITE
-        }
+        if height > 0.0 { height_color(f64::from(height / highest)) } else { WHITE }
     });
     let rsrp = shade(grids, |kind, level| match kind {
         MASK_BUILDING => BUILDING,
@@ -154,28 +143,17 @@ pub fn panels_png(record: &Record, grids: &Grids, style: PanelStyle) -> Vec<u8> 
     });
     let count = |wanted: &dyn Fn(u8, f64) -> bool| {
         let cells = grids.mask.iter().zip(&grids.rsrp_dbm);
-        cells
-            .filter(|(kind, level)| wanted(**kind, f64::from(**level)))
-            .count()
+        cells.filter(|(kind, level)| wanted(**kind, f64::from(**level))).count()
     };
     let outdoor = count(&|kind, _| kind != MASK_BUILDING).max(1);
     let share = 100.0 * count(&is_hole) as f64 / outdoor as f64;
 
-    canvas.text(
-        &format!("{} ({})", record.id, record.split),
-        [MARGIN, MARGIN / 2],
-    );
+    canvas.text(&format!("{} ({})", record.id, record.split), [MARGIN, MARGIN / 2]);
     let threshold = style.hole_threshold.0;
     let captions = [
         ["height".to_owned(), format!("0 to {highest} m")],
-        [
-            "RSRP".to_owned(),
-            format!("{} to {} dBm per RE", RSRP_RANGE[0], RSRP_RANGE[1]),
-        ],
-        [
-            format!("coverage holes below {threshold} dBm"),
-            format!("{share:.1} % of outdoor cells"),
-        ],
+        ["RSRP".to_owned(), format!("{} to {} dBm per RE", RSRP_RANGE[0], RSRP_RANGE[1])],
+        [format!("coverage holes below {threshold} dBm"), format!("{share:.1} % of outdoor cells")],
     ];
     for (index, cells) in [heights, rsrp, holes].into_iter().enumerate() {
         let x = MARGIN + index * step;
@@ -183,10 +161,7 @@ pub fn panels_png(record: &Record, grids: &Grids, style: PanelStyle) -> Vec<u8> 
         canvas.panel(&cells, [x, top], scale, [title, caption]);
         let [east, north, _] = record.base_station.position_m;
         let pixel = |distance: f64| side as f64 / 2.0 + distance / record.cell_m * scale as f64;
-        cross(
-            &mut canvas,
-            [x as f64 + pixel(east), (top + TITLE) as f64 + pixel(-north)],
-        );
+        cross(&mut canvas, [x as f64 + pixel(east), (top + TITLE) as f64 + pixel(-north)]);
     }
     canvas.bar([MARGIN, bar_y], side, height_color);
     canvas.bar([MARGIN + step, bar_y], side, rsrp_color);
@@ -204,9 +179,7 @@ fn shade(grids: &Grids, color: impl Fn(u8, f64) -> Rgb) -> Array2<Rgb> {
 
 fn height_color(share: f64) -> Rgb {
     // The darkest tenth of the map is left to the outlines of low buildings.
-    INFERNO
-        .eval_continuous(0.9 * (1.0 - share.clamp(0.0, 1.0)))
-        .as_array()
+    INFERNO.eval_continuous(0.9 * (1.0 - share.clamp(0.0, 1.0))).as_array()
 }
 
 fn rsrp_color(share: f64) -> Rgb {
@@ -236,14 +209,7 @@ mod tests {
     #[test]
     fn the_picture_shows_hole_building_and_cover() {
         let (record, grids) = example();
-        let png = panels_png(
-            &record,
-            &grids,
-            PanelStyle {
-                scale: 16,
-                ..PanelStyle::default()
-            },
-        );
+        let png = panels_png(&record, &grids, PanelStyle { scale: 16, ..PanelStyle::default() });
         let decoder = png::Decoder::new(std::io::Cursor::new(&png));
         let mut reader = decoder.read_info().expect("a PNG");
         let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
@@ -254,20 +220,10 @@ mod tests {
             let at = 3 * (y * info.width as usize + x);
             [pixels[at], pixels[at + 1], pixels[at + 2]]
         };
-        assert_eq!(
-            [color(0, 0), color(0, 1), color(1, 0)],
-            [COVERED, BUILDING, HOLE]
-        );
+        assert_eq!([color(0, 0), color(0, 1), color(1, 0)], [COVERED, BUILDING, HOLE]);
         assert_eq!(
             png,
-            panels_png(
-                &record,
-                &grids,
-                PanelStyle {
-                    scale: 16,
-                    ..PanelStyle::default()
-                }
-            )
+            panels_png(&record, &grids, PanelStyle { scale: 16, ..PanelStyle::default() })
         );
     }
 }

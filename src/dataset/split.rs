@@ -28,17 +28,10 @@ pub struct SplitAssignment {
 /// Whether a tile is dropped depends on the other tiles, its split does not.
 #[must_use]
 pub fn assign_splits(tiles: &[TileId], grid: &GridConfig, config: &SplitConfig) -> SplitAssignment {
-    let apart_m = if config.strict {
-        grid.side_m
-    } else {
-        grid.crop_m
-    };
+    let apart_m = if config.strict { grid.side_m } else { grid.crop_m };
     let mut by_split: BTreeMap<Split, Vec<TileId>> = BTreeMap::new();
     for &tile in tiles {
-        by_split
-            .entry(split_of(tile, config))
-            .or_default()
-            .push(tile);
+        by_split.entry(split_of(tile, config)).or_default().push(tile);
     }
     let mut kept = BTreeMap::new();
     let mut dropped = Vec::new();
@@ -46,25 +39,18 @@ pub fn assign_splits(tiles: &[TileId], grid: &GridConfig, config: &SplitConfig) 
     let mut overlapping_tile_pairs = 0;
     for split in PRIORITY {
         let candidates = by_split.remove(&split).unwrap_or_default();
-        let (apart, overlapping): (Vec<TileId>, Vec<TileId>) = candidates
-            .into_iter()
-            .partition(|&tile| neighbours.count(tile, apart_m) == 0);
+        let (apart, overlapping): (Vec<TileId>, Vec<TileId>) =
+            candidates.into_iter().partition(|&tile| neighbours.count(tile, apart_m) == 0);
         dropped.extend(overlapping);
-        overlapping_tile_pairs += apart
-            .iter()
-            .map(|&tile| neighbours.count(tile, grid.side_m))
-            .sum::<u64>();
+        overlapping_tile_pairs +=
+            apart.iter().map(|&tile| neighbours.count(tile, grid.side_m)).sum::<u64>();
         for tile in apart {
             kept.insert(tile, split);
             neighbours.insert(tile);
         }
     }
     dropped.sort_unstable();
-    SplitAssignment {
-        kept,
-        dropped,
-        overlapping_tile_pairs,
-    }
+    SplitAssignment { kept, dropped, overlapping_tile_pairs }
 }
 
 /// The split of a place.
@@ -78,10 +64,7 @@ fn split_of(tile: TileId, config: &SplitConfig) -> Split {
         return area.split;
     }
     let side = i64::from(config.block_m);
-    let block = [
-        tile.easting.div_euclid(side),
-        tile.northing.div_euclid(side),
-    ];
+    let block = [tile.easting.div_euclid(side), tile.northing.div_euclid(side)];
     let draw = draw(config.seed, tile.utm.epsg(), block);
     if draw < config.test {
         Split::Test
@@ -108,24 +91,15 @@ struct Neighbours {
 
 impl Neighbours {
     fn new(side_m: u32) -> Self {
-        Self {
-            side: i64::from(side_m),
-            buckets: HashMap::new(),
-        }
+        Self { side: i64::from(side_m), buckets: HashMap::new() }
     }
 
     fn bucket(&self, tile: TileId) -> [i64; 2] {
-        [
-            tile.easting.div_euclid(self.side),
-            tile.northing.div_euclid(self.side),
-        ]
+        [tile.easting.div_euclid(self.side), tile.northing.div_euclid(self.side)]
     }
 
     fn insert(&mut self, tile: TileId) {
-        self.buckets
-            .entry(self.bucket(tile))
-            .or_default()
-            .push(tile);
+        self.buckets.entry(self.bucket(tile)).or_default().push(tile);
     }
 
     /// How many tiles' squares of a side overlap that of a tile.
@@ -133,9 +107,7 @@ impl Neighbours {
         let [column, row] = self.bucket(tile);
         let around =
             (column - 1..=column + 1).flat_map(|c| (row - 1..=row + 1).map(move |r| [c, r]));
-        let near = around
-            .filter_map(|bucket| self.buckets.get(&bucket))
-            .flatten();
+        let near = around.filter_map(|bucket| self.buckets.get(&bucket)).flatten();
         near.filter(|&&other| other.overlaps(tile, side_m)).count() as u64
     }
 }
@@ -148,68 +120,34 @@ mod tests {
     use proptest::prelude::*;
 
     fn tile(easting: i64, northing: i64) -> TileId {
-        TileId {
-            utm: Utm::from_epsg(32610).expect("a UTM code"),
-            easting,
-            northing,
-        }
+        TileId { utm: Utm::from_epsg(32610).expect("a UTM code"), easting, northing }
     }
 
     fn lattice(spacing: i64, count: i64) -> Vec<TileId> {
-        let cell = move |i: i64| {
-            (
-                i % count * spacing + 500_000,
-                i / count * spacing + 4_000_000,
-            )
-        };
-        (0..count * count)
-            .map(cell)
-            .map(|(easting, northing)| tile(easting, northing))
-            .collect()
+        let cell = move |i: i64| (i % count * spacing + 500_000, i / count * spacing + 4_000_000);
+        (0..count * count).map(cell).map(|(easting, northing)| tile(easting, northing)).collect()
     }
 
     #[test]
     fn shares_are_about_what_was_asked_for() {
-        let config = SplitConfig {
-            block_m: 512,
-            ..SplitConfig::default()
-        };
+        let config = SplitConfig { block_m: 512, ..SplitConfig::default() };
         let assignment = assign_splits(&lattice(512, 60), &GridConfig::default(), &config);
         let count = |split| assignment.kept.values().filter(|&&s| s == split).count();
-        assert_eq!(
-            assignment.kept.len(),
-            3600,
-            "windows of 484 m every 512 m never overlap"
-        );
+        assert_eq!(assignment.kept.len(), 3600, "windows of 484 m every 512 m never overlap");
         for split in [Split::Val, Split::Test] {
-            assert!(
-                (300..420).contains(&count(split)),
-                "{split}: {}",
-                count(split)
-            );
+            assert!((300..420).contains(&count(split)), "{split}: {}", count(split));
         }
         assert!(assignment.overlapping_tile_pairs > 0);
     }
 
     #[test]
     fn areas_win_over_blocks_and_rows_between_are_dropped() {
-        let tiles: Vec<TileId> = (0..9)
-            .map(|row| tile(500_000, 4_000_000 + row * 128))
-            .collect();
+        let tiles: Vec<TileId> = (0..9).map(|row| tile(500_000, 4_000_000 + row * 128)).collect();
         let [west, _] = tiles[0].lon_lat();
         let [_, south] = tiles[5].lon_lat();
         let bbox = [west - 1.0, south - 1e-6, west + 1.0, 90.0];
-        let areas = vec![SplitArea {
-            name: "north".into(),
-            split: Split::Val,
-            bbox,
-        }];
-        let config = SplitConfig {
-            val: 0.0,
-            test: 0.0,
-            areas,
-            ..SplitConfig::default()
-        };
+        let areas = vec![SplitArea { name: "north".into(), split: Split::Val, bbox }];
+        let config = SplitConfig { val: 0.0, test: 0.0, areas, ..SplitConfig::default() };
         let assignment = assign_splits(&tiles, &GridConfig::default(), &config);
         let of = |row: usize| assignment.kept.get(&tiles[row]).copied();
         assert_eq!([of(0), of(1)], [Some(Split::Train); 2]);

@@ -156,9 +156,7 @@ pub fn build_dataset(
         return Err(ShardError::OtherTiles { expected, found });
     }
     if rsrp.maps.is_empty() {
-        return Err(ShardError::NoMaps {
-            rejected: rsrp.rejected.values().sum(),
-        });
+        return Err(ShardError::NoMaps { rejected: rsrp.rejected.values().sum() });
     }
     let config = DatasetConfig {
         grid: tiles.config.grid.clone(),
@@ -172,12 +170,7 @@ pub fn build_dataset(
     if cells % factor != 0 {
         return Err(ShardError::Downsample { cells, factor });
     }
-    let fingerprint = fingerprint(&(
-        DatasetManifest::SCHEMA,
-        &config,
-        &tiles_digest,
-        &rsrp_digest,
-    ));
+    let fingerprint = fingerprint(&(DatasetManifest::SCHEMA, &config, &tiles_digest, &rsrp_digest));
 
     let ids: Vec<TileId> = rsrp.maps.iter().map(|map| map.id).collect();
     let splits = assign_splits(&ids, &config.grid, &config.split);
@@ -214,10 +207,7 @@ pub fn build_dataset(
         tiles_manifest_sha256: tiles_digest.sha256,
         rsrp_manifest_sha256: rsrp_digest.sha256,
         buildings: tiles.buildings,
-        statistics: sums
-            .into_iter()
-            .filter_map(|(split, sum)| Some((split, sum?)))
-            .collect(),
+        statistics: sums.into_iter().filter_map(|(split, sum)| Some((split, sum?))).collect(),
         dropped: Dropped {
             tiles_without_map: (tiles.tiles.len() - ids.len()) as u64,
             rejected_maps: rsrp.rejected.clone(),
@@ -241,15 +231,10 @@ fn plan(kept: &BTreeMap<TileId, Split>, config: &DatasetConfig) -> Vec<PlannedSh
     let seed = config.shard.order_seed;
     let mut shards = Vec::new();
     for split in Split::ALL {
-        let mut ids: Vec<TileId> = kept
-            .iter()
-            .filter(|(_, of)| **of == split)
-            .map(|(id, _)| *id)
-            .collect();
+        let mut ids: Vec<TileId> =
+            kept.iter().filter(|(_, of)| **of == split).map(|(id, _)| *id).collect();
         ids.sort_by_cached_key(|id| sha256_bytes(format!("{seed} {id}").as_bytes()).sha256);
-        let chunks = ids
-            .chunks(config.shard.records_per_shard as usize)
-            .enumerate();
+        let chunks = ids.chunks(config.shard.records_per_shard as usize).enumerate();
         shards.extend(chunks.map(|(number, ids)| PlannedShard {
             file: format!("{split}/shard-{number:05}.msgpack.zst"),
             split,
@@ -302,14 +287,10 @@ fn build_shard(
     let mut writer = SeekableWriter::new(Vec::new());
     let mut sum = None;
     for (frame, length, of_record) in &frames {
-        writer
-            .push(frame, *length)
-            .map_err(FileError::new("write", Path::new(&shard.file)))?;
+        writer.push(frame, *length).map_err(FileError::new("write", Path::new(&shard.file)))?;
         statistics::add(&mut sum, of_record);
     }
-    let bytes = writer
-        .finish()
-        .map_err(FileError::new("write", Path::new(&shard.file)))?;
+    let bytes = writer.finish().map_err(FileError::new("write", Path::new(&shard.file)))?;
     let done = |digest: Option<&Digest>| DoneShard {
         entry: ShardEntry {
             file: shard.file.clone(),
@@ -359,21 +340,14 @@ fn build_record(
         },
     }
     .with_grids(&grids);
-    record
-        .sound_grids(cells)
-        .map_err(|source| ShardError::Unsound { id, source })?;
+    record.sound_grids(cells).map_err(|source| ShardError::Unsound { id, source })?;
     let statistics = statistics::statistics_of(&record, &grids);
     Ok((record, statistics))
 }
 
 /// Crops, downsamples and lays the height grid's buildings over the mask.
 fn grids(tile: &TileFile, map: &RsrpFile, config: &DatasetConfig) -> Result<Grids, ShardError> {
-    let DatasetConfig {
-        grid,
-        shard,
-        buildings,
-        ..
-    } = config;
+    let DatasetConfig { grid, shard, buildings, .. } = config;
     let crop = grid.crop_offset_cells()..grid.crop_offset_cells() + grid.crop_cells();
     let heights = tile.height_m.slice(s![crop.clone(), crop]);
     let height_m = downsample_heights(heights, shard.downsample as usize, shard.height);
@@ -381,11 +355,7 @@ fn grids(tile: &TileFile, map: &RsrpFile, config: &DatasetConfig) -> Result<Grid
     let (found, expected) = (map.meta.cell_m, shard.cell_m(grid));
     let factor = (expected / found).round();
     if factor < 1.0 || (factor * found - expected).abs() > 1e-9 * expected {
-        return Err(ShardError::CellSize {
-            id: map.meta.id,
-            found,
-            expected,
-        });
+        return Err(ShardError::CellSize { id: map.meta.id, found, expected });
     }
     let (rsrp_dbm, mut mask) = downsample_rsrp(
         map.rsrp_dbm.view(),
@@ -402,9 +372,5 @@ fn grids(tile: &TileFile, map: &RsrpFile, config: &DatasetConfig) -> Result<Grid
             *kind = MASK_UNREACHED;
         }
     }
-    Ok(Grids {
-        height_m,
-        rsrp_dbm,
-        mask,
-    })
+    Ok(Grids { height_m, rsrp_dbm, mask })
 }

@@ -36,11 +36,7 @@ pub fn statistics_of(record: &Record, grids: &Grids) -> SplitStatistics {
         cells,
         holes,
         hole_threshold_dbm: HOLE_THRESHOLD,
-        rsrp: RsrpHistogram {
-            first_dbm: FIRST_DBM,
-            step_db: STEP_DB,
-            counts,
-        },
+        rsrp: RsrpHistogram { first_dbm: FIRST_DBM, step_db: STEP_DB, counts },
         built_cells: record.provenance.built_cells,
     }
 }
@@ -68,11 +64,7 @@ pub(super) fn add(sum: &mut Option<SplitStatistics>, more: &SplitStatistics) {
 #[must_use]
 pub fn hole_share(statistics: &SplitStatistics) -> f64 {
     let outdoor = statistics.cells.reached + statistics.cells.unreached;
-    if outdoor == 0 {
-        0.0
-    } else {
-        statistics.holes as f64 / outdoor as f64
-    }
+    if outdoor == 0 { 0.0 } else { statistics.holes as f64 / outdoor as f64 }
 }
 
 #[cfg(test)]
@@ -84,21 +76,11 @@ mod tests {
     fn cells_are_counted_by_kind_and_level() {
         let (record, grids) = example();
         let one = statistics_of(&record, &grids);
-        assert_eq!(
-            one.cells,
-            MaskCounts {
-                reached: 2,
-                building: 1,
-                unreached: 1
-            }
-        );
+        assert_eq!(one.cells, MaskCounts { reached: 2, building: 1, unreached: 1 });
         assert_eq!(one.holes, 2, "one unreached, one of -101.5 dBm");
         assert!((hole_share(&one) - 2.0 / 3.0).abs() < 1e-12);
         assert_eq!(one.rsrp.counts[22], 1, "-90 dBm lies in the bin from -90");
-        assert_eq!(
-            one.rsrp.counts[19], 1,
-            "-101.5 dBm lies in the bin from -105"
-        );
+        assert_eq!(one.rsrp.counts[19], 1, "-101.5 dBm lies in the bin from -105");
         let mut sum = None;
         add(&mut sum, &one);
         add(&mut sum, &one);

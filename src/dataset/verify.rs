@@ -68,10 +68,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
             check_items(&manifest.tiles, progress, &mut failures, |entry| {
                 let read = TileFile::read(root, entry).map_err(|error| error.to_string());
                 let matches = read.map(|tile| tile.meta.id == entry.id);
-                (
-                    &entry.file,
-                    demand(matches, "tile id differs from the manifest's"),
-                )
+                (&entry.file, demand(matches, "tile id differs from the manifest's"))
             })
         }
         Some(RsrpManifest::SCHEMA) => {
@@ -79,10 +76,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
             check_items(&manifest.maps, progress, &mut failures, |entry| {
                 let read = RsrpFile::read(root, entry).map_err(|error| error.to_string());
                 let matches = read.map(|map| map.meta.id == entry.id);
-                (
-                    &entry.file,
-                    demand(matches, "tile id differs from the manifest's"),
-                )
+                (&entry.file, demand(matches, "tile id differs from the manifest's"))
             })
         }
         _ => {
@@ -92,12 +86,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
     };
     failures.sort();
     failures.dedup();
-    Ok(Verification {
-        schema: found.unwrap_or_default(),
-        files,
-        items,
-        failures,
-    })
+    Ok(Verification { schema: found.unwrap_or_default(), files, items, failures })
 }
 
 fn schema(root: &Path) -> Option<String> {
@@ -107,19 +96,11 @@ fn schema(root: &Path) -> Option<String> {
 }
 
 fn failure(file: &str, reason: impl Into<String>) -> VerifyFailure {
-    VerifyFailure {
-        file: file.to_owned(),
-        record: None,
-        reason: reason.into(),
-    }
+    VerifyFailure { file: file.to_owned(), record: None, reason: reason.into() }
 }
 
 fn demand(holds: Result<bool, String>, otherwise: &str) -> Result<(), String> {
-    if holds? {
-        Ok(())
-    } else {
-        Err(otherwise.to_owned())
-    }
+    if holds? { Ok(()) } else { Err(otherwise.to_owned()) }
 }
 
 /// Every listed file has its checksum, and every file is listed.
@@ -139,10 +120,7 @@ fn check_sums(root: &Path, failures: &mut Vec<VerifyFailure>, progress: &dyn Pro
                 Ok(digest) if digest.sha256 == *expected => None,
                 Ok(digest) => {
                     let found = digest.sha256;
-                    Some(failure(
-                        file,
-                        format!("SHA-256 is {found}, expected {expected}"),
-                    ))
+                    Some(failure(file, format!("SHA-256 is {found}, expected {expected}")))
                 }
                 Err(error) => Some(failure(file, error.source.to_string())),
             }
@@ -158,10 +136,7 @@ fn check_sums(root: &Path, failures: &mut Vec<VerifyFailure>, progress: &dyn Pro
         let relative = file.strip_prefix(root).unwrap_or(&file);
         if relative != Path::new(SUMS) && !listed.contains(relative) {
             let name = relative.to_string_lossy();
-            failures.push(failure(
-                &name,
-                format!("not listed in {SUMS}: not part of this output"),
-            ));
+            failures.push(failure(&name, format!("not listed in {SUMS}: not part of this output")));
         }
     }
     sums.len()
@@ -172,11 +147,7 @@ fn files_below(directory: &Path) -> Vec<PathBuf> {
     entries
         .flat_map(|entry| {
             let path = entry.path();
-            if path.is_dir() {
-                files_below(&path)
-            } else {
-                vec![path]
-            }
+            if path.is_dir() { files_below(&path) } else { vec![path] }
         })
         .collect()
 }
@@ -254,22 +225,14 @@ fn check_dataset(
     for ((file, frame), id) in frames {
         failures.push(VerifyFailure {
             record: Some(id.to_string()),
-            ..failure(
-                file,
-                format!("frame {frame} is not in the manifest's index"),
-            )
+            ..failure(file, format!("frame {frame} is not in the manifest's index"))
         });
     }
     let all_read = read.iter().all(|shard| shard.failures.is_empty());
-    let sums: BTreeMap<Split, SplitStatistics> = sums
-        .into_iter()
-        .filter_map(|(split, sum)| Some((split, sum?)))
-        .collect();
+    let sums: BTreeMap<Split, SplitStatistics> =
+        sums.into_iter().filter_map(|(split, sum)| Some((split, sum?))).collect();
     if all_read && sums != manifest.statistics {
-        failures.push(failure(
-            MANIFEST,
-            "statistics differ from those of the records",
-        ));
+        failures.push(failure(MANIFEST, "statistics differ from those of the records"));
     }
     check_separation(&splits, manifest, failures);
     splits.len()
@@ -281,11 +244,7 @@ fn read_shard(
     manifest: &DatasetManifest,
     progress: &dyn Progress,
 ) -> ReadShard {
-    let mut read = ReadShard {
-        ids: Vec::new(),
-        statistics: None,
-        failures: Vec::new(),
-    };
+    let mut read = ReadShard { ids: Vec::new(), statistics: None, failures: Vec::new() };
     let digest = sha256_file(&root.join(&entry.file));
     if digest.as_ref().ok() != Some(&entry.digest) {
         let found = digest.map_or_else(|error| error.source.to_string(), |found| found.to_string());
@@ -300,11 +259,7 @@ fn read_shard(
         }
     };
     if shard.len() != entry.records as usize {
-        let reason = format!(
-            "{} frames, the manifest says {}",
-            shard.len(),
-            entry.records
-        );
+        let reason = format!("{} frames, the manifest says {}", shard.len(), entry.records);
         read.failures.push(failure(&entry.file, reason));
     }
     for frame in 0..shard.len() {
@@ -324,10 +279,7 @@ fn read_shard(
             }
             Err((record, reason)) => {
                 let record = Some(record);
-                read.failures.push(VerifyFailure {
-                    record,
-                    ..failure(&entry.file, reason)
-                });
+                read.failures.push(VerifyFailure { record, ..failure(&entry.file, reason) });
                 read.ids.push(None);
             }
         }
@@ -341,34 +293,17 @@ fn check_record(
     entry: &ShardEntry,
     manifest: &DatasetManifest,
 ) -> Result<SplitStatistics, String> {
-    let grids = record
-        .sound_grids(manifest.cells as usize)
-        .map_err(|error| error.to_string())?;
+    let grids = record.sound_grids(manifest.cells as usize).map_err(|error| error.to_string())?;
     let same = |holds: bool, field: &str| {
         demand(Ok(holds), &format!("{field} differs from the manifest's"))
     };
     same(record.split == entry.split, "split")?;
-    same(
-        record.cell_m.to_bits() == manifest.cell_m.to_bits(),
-        "cell_m",
-    )?;
-    same(
-        record.epsg == manifest.epsg && record.id.utm.epsg() == manifest.epsg,
-        "epsg",
-    )?;
-    same(
-        record.floor_dbm == manifest.config.rsrp.floor_dbm,
-        "floor_dbm",
-    )?;
+    same(record.cell_m.to_bits() == manifest.cell_m.to_bits(), "cell_m")?;
+    same(record.epsg == manifest.epsg && record.id.utm.epsg() == manifest.epsg, "epsg")?;
+    same(record.floor_dbm == manifest.config.rsrp.floor_dbm, "floor_dbm")?;
     let flight_height = manifest.config.buildings.flight_height_m;
-    same(
-        record.flight_height_m.to_bits() == flight_height.to_bits(),
-        "flight_height_m",
-    )?;
-    demand(
-        Ok(record.center_m == record.id.center()),
-        "center_m differs from the id's",
-    )?;
+    same(record.flight_height_m.to_bits() == flight_height.to_bits(), "flight_height_m")?;
+    demand(Ok(record.center_m == record.id.center()), "center_m differs from the id's")?;
     Ok(statistics::statistics_of(record, &grids))
 }
 
@@ -379,11 +314,7 @@ fn check_separation(
     failures: &mut Vec<VerifyFailure>,
 ) {
     let grid = &manifest.config.grid;
-    let apart = if manifest.config.split.strict {
-        grid.side_m
-    } else {
-        grid.crop_m
-    };
+    let apart = if manifest.config.split.strict { grid.side_m } else { grid.crop_m };
     // Names are sorted by easting, so only a stretch of neighbours can overlap.
     let tiles: Vec<(&TileId, &Split)> = splits.iter().collect();
     for (index, (a, split_a)) in tiles.iter().enumerate() {

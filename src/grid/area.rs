@@ -74,24 +74,16 @@ impl Area {
     /// When the file cannot be read, is no GeoJSON or holds no polygon.
     pub fn from_geojson(path: &Path) -> Result<Self, AreaError> {
         let text = std::fs::read_to_string(path).map_err(FileError::new("read", path))?;
-        let not_geojson = |reason: String| AreaError::NotGeoJson {
-            path: path.to_owned(),
-            reason,
-        };
-        let parsed: geojson::GeoJson = text
-            .parse()
-            .map_err(|error: geojson::Error| not_geojson(error.to_string()))?;
+        let not_geojson = |reason: String| AreaError::NotGeoJson { path: path.to_owned(), reason };
+        let parsed: geojson::GeoJson =
+            text.parse().map_err(|error: geojson::Error| not_geojson(error.to_string()))?;
         let collection: geo::GeometryCollection<f64> =
             geo::GeometryCollection::try_from(&parsed)
                 .map_err(|error| not_geojson(error.to_string()))?;
         let mut polygons = Vec::new();
-        collection
-            .into_iter()
-            .for_each(|geometry| collect_polygons(geometry, &mut polygons));
+        collection.into_iter().for_each(|geometry| collect_polygons(geometry, &mut polygons));
         if polygons.is_empty() {
-            return Err(AreaError::NoPolygon {
-                path: path.to_owned(),
-            });
+            return Err(AreaError::NoPolygon { path: path.to_owned() });
         }
         Ok(Self::Inside(MultiPolygon(polygons)))
     }
@@ -110,9 +102,9 @@ impl Area {
     pub fn middle(&self) -> Option<[f64; 2]> {
         match self {
             Self::Whole => None,
-            Self::Inside(polygons) => polygons
-                .bounding_rect()
-                .map(|rect| [rect.center().x, rect.center().y]),
+            Self::Inside(polygons) => {
+                polygons.bounding_rect().map(|rect| [rect.center().x, rect.center().y])
+            }
         }
     }
 }
@@ -122,9 +114,7 @@ fn collect_polygons(geometry: geo::Geometry<f64>, polygons: &mut Vec<Polygon<f64
         geo::Geometry::Polygon(polygon) => polygons.push(polygon),
         geo::Geometry::MultiPolygon(several) => polygons.extend(several),
         geo::Geometry::GeometryCollection(collection) => {
-            collection
-                .into_iter()
-                .for_each(|member| collect_polygons(member, polygons));
+            collection.into_iter().for_each(|member| collect_polygons(member, polygons));
         }
         _ => {}
     }
@@ -139,14 +129,8 @@ mod tests {
         let area = Area::from_bbox([24.0, 60.0, 25.0, 61.0]).expect("a box");
         assert!(area.contains(24.5, 60.5) && !area.contains(23.9, 60.5));
         assert_eq!(area.middle(), Some([24.5, 60.5]));
-        assert!(matches!(
-            Area::from_bbox([1.0, 0.0, 0.0, 1.0]),
-            Err(AreaError::Bbox(_))
-        ));
-        assert!(matches!(
-            Area::from_bbox([f64::NAN, 0.0, 1.0, 1.0]),
-            Err(AreaError::Bbox(_))
-        ));
+        assert!(matches!(Area::from_bbox([1.0, 0.0, 0.0, 1.0]), Err(AreaError::Bbox(_))));
+        assert!(matches!(Area::from_bbox([f64::NAN, 0.0, 1.0, 1.0]), Err(AreaError::Bbox(_))));
     }
 
     #[test]
@@ -161,19 +145,10 @@ mod tests {
         let area = Area::from_geojson(&path).expect("a polygon");
         assert!(area.contains(1.5, 1.5) && !area.contains(0.9, 0.7));
         write(r#"{"type":"Point","coordinates":[0,0]}"#);
-        assert!(matches!(
-            Area::from_geojson(&path),
-            Err(AreaError::NoPolygon { .. })
-        ));
+        assert!(matches!(Area::from_geojson(&path), Err(AreaError::NoPolygon { .. })));
         write("roads");
-        assert!(matches!(
-            Area::from_geojson(&path),
-            Err(AreaError::NotGeoJson { .. })
-        ));
+        assert!(matches!(Area::from_geojson(&path), Err(AreaError::NotGeoJson { .. })));
         let missing = dir.path().join("missing");
-        assert!(matches!(
-            Area::from_geojson(&missing),
-            Err(AreaError::File(_))
-        ));
+        assert!(matches!(Area::from_geojson(&missing), Err(AreaError::File(_))));
     }
 }

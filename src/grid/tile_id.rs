@@ -56,11 +56,7 @@ impl fmt::Display for TileId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let hemisphere = if self.utm.is_north() { 'n' } else { 's' };
         let zone = self.utm.zone();
-        write!(
-            f,
-            "utm{zone:02}{hemisphere}_e{}_n{}",
-            self.easting, self.northing
-        )
+        write!(f, "utm{zone:02}{hemisphere}_e{}_n{}", self.easting, self.northing)
     }
 }
 
@@ -121,29 +117,16 @@ mod tests {
 
     #[test]
     fn names_round_trip() {
-        for name in [
-            "utm10n_e598016_n4128768",
-            "utm05s_e0_n10000000",
-            "utm35n_e-512_n0",
-        ] {
-            assert_eq!(
-                name.parse::<TileId>().map(|id| id.to_string()),
-                Ok(name.to_owned())
-            );
+        for name in ["utm10n_e598016_n4128768", "utm05s_e0_n10000000", "utm35n_e-512_n0"] {
+            assert_eq!(name.parse::<TileId>().map(|id| id.to_string()), Ok(name.to_owned()));
         }
     }
 
     #[test]
     fn other_spellings_are_refused() {
-        for name in [
-            "",
-            "utm",
-            "utm61n_e0_n0",
-            "utm5n_e0_n0",
-            "utm10x_e0_n0",
-            "utm10n_e01_n0",
-            "utmé",
-        ] {
+        for name in
+            ["", "utm", "utm61n_e0_n0", "utm5n_e0_n0", "utm10x_e0_n0", "utm10n_e01_n0", "utmé"]
+        {
             assert_eq!(name.parse::<TileId>(), Err(TileIdError(name.to_owned())));
         }
     }

@@ -21,12 +21,7 @@ impl Window {
     pub fn around(tile: TileId, cell: f64, cells: usize) -> Self {
         let half = cell * cells as f64 / 2.0;
         let [easting, northing] = tile.center();
-        Self {
-            west: easting - half,
-            north: northing + half,
-            cell,
-            cells,
-        }
+        Self { west: easting - half, north: northing + half, cell, cells }
     }
 
     /// Easting of the eastern border, in metres.
@@ -80,17 +75,8 @@ mod tests {
 
     #[test]
     fn rows_and_columns_are_half_open() {
-        let window = Window {
-            west: 100.0,
-            north: 200.0,
-            cell: 1.0,
-            cells: 10,
-        };
-        assert_eq!(
-            window.rows_between(197.5, 199.5),
-            1..3,
-            "199.5 is out, 197.5 is in"
-        );
+        let window = Window { west: 100.0, north: 200.0, cell: 1.0, cells: 10 };
+        assert_eq!(window.rows_between(197.5, 199.5), 1..3, "199.5 is out, 197.5 is in");
         assert_eq!(window.rows_between(0.0, 1000.0), 0..10);
         assert_eq!(window.rows_between(198.6, 198.9), 1..1);
         assert_eq!(window.first_column_from(100.5), 0);

@@ -114,24 +114,14 @@ pub fn load<T: DeserializeOwned>(
     let bytes = match std::fs::read(&path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            return Err(ManifestError::Absent {
-                directory: directory.to_owned(),
-                stage,
-            });
+            return Err(ManifestError::Absent { directory: directory.to_owned(), stage });
         }
         Err(error) => return Err(FileError::new("read", &path)(error).into()),
     };
-    let invalid = |reason: String| ManifestError::Invalid {
-        path: path.clone(),
-        reason,
-        stage,
-    };
+    let invalid = |reason: String| ManifestError::Invalid { path: path.clone(), reason, stage };
     let value: serde_json::Value =
         serde_json::from_slice(&bytes).map_err(|error| invalid(format!("no JSON: {error}")))?;
-    let found = value
-        .get("schema")
-        .and_then(serde_json::Value::as_str)
-        .unwrap_or("none");
+    let found = value.get("schema").and_then(serde_json::Value::as_str).unwrap_or("none");
     if found != schema {
         return Err(invalid(format!("schema is {found:?}, not {schema:?}")));
     }

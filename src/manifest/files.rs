@@ -114,11 +114,7 @@ impl Arrays {
     fn open(path: PathBuf, expected: &Digest) -> Result<Self, StageFileError> {
         let found = sha256_file(&path)?;
         if found != *expected {
-            return Err(StageFileError::Changed {
-                path,
-                expected: expected.clone(),
-                found,
-            });
+            return Err(StageFileError::Changed { path, expected: expected.clone(), found });
         }
         let archive = NpzReader::open(&path, MAX_ARRAY);
         let archive = archive.map_err(|error| invalid(&path, &error))?;
@@ -139,18 +135,13 @@ impl Arrays {
     fn meta<T: DeserializeOwned>(&mut self) -> Result<T, StageFileError> {
         let bytes = self.member("meta_json")?;
         let npy = read_npy(&bytes).map_err(|error| invalid(&self.path, &error))?;
-        let json = npy
-            .as_bytes()
-            .ok_or_else(|| invalid(&self.path, &"meta_json is no text"))?;
+        let json = npy.as_bytes().ok_or_else(|| invalid(&self.path, &"meta_json is no text"))?;
         serde_json::from_slice(json).map_err(|error| invalid(&self.path, &error))
     }
 }
 
 fn invalid(path: &Path, reason: &impl ToString) -> StageFileError {
-    StageFileError::Invalid {
-        path: path.to_owned(),
-        reason: reason.to_string(),
-    }
+    StageFileError::Invalid { path: path.to_owned(), reason: reason.to_string() }
 }
 
 /// The candidate tiles that the urban filter dropped, from `tiles.csv`.

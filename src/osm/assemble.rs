@@ -53,8 +53,9 @@ pub(super) fn way_footprint(
     if way.refs.len() < 2 || way.refs.first() != way.refs.last() {
         return Err(Defect::OpenWay);
     }
+    footprint::check_size(way.refs.len())?;
     let ring = projector.ring(&way.refs, defects)?;
-    Ok(MultiPolygon(vec![Polygon::new(ring, vec![])]))
+    footprint::check_width(MultiPolygon(vec![Polygon::new(ring, vec![])]))
 }
 
 /// The footprint of a multipolygon relation. Whatever of it is sound is kept; mends are
@@ -74,6 +75,7 @@ pub(super) fn relation_footprint(
             None => defects.push(Defect::MissingMembers),
         }
     }
+    footprint::check_size(members.iter().map(|(refs, _)| refs.len()).sum())?;
     let mut rings = Vec::new();
     let (closed, leftover) = assemble_by_role(&members);
     if leftover {
@@ -87,21 +89,17 @@ pub(super) fn relation_footprint(
     }
     let footprint = footprint::nest(rings, defects);
     if footprint.0.is_empty() {
-        Err(Defect::NoOuterRing)
-    } else {
-        Ok(footprint)
+        return Err(Defect::NoOuterRing);
     }
+    footprint::check_width(footprint)
 }
 
 /// Rings of outer and of inner ways apart, since holes that touch the outline share nodes
 /// with it; all together where roles are too wrong for that.
 fn assemble_by_role(members: &[(&[i64], Role)]) -> (Vec<(Vec<i64>, Role)>, bool) {
     let of_role = |wanted: Role| {
-        let ways: Vec<&[i64]> = members
-            .iter()
-            .filter(|(_, role)| *role == wanted)
-            .map(|(refs, _)| *refs)
-            .collect();
+        let ways: Vec<&[i64]> =
+            members.iter().filter(|(_, role)| *role == wanted).map(|(refs, _)| *refs).collect();
         (wanted, assemble(&ways))
     };
     let apart = [Role::Outer, Role::Inner, Role::Any].map(of_role);
@@ -109,10 +107,7 @@ fn assemble_by_role(members: &[(&[i64], Role)]) -> (Vec<(Vec<i64>, Role)>, bool)
         let all: Vec<&[i64]> = members.iter().map(|(refs, _)| *refs).collect();
         let Rings { closed, leftover } = assemble(&all);
         if !leftover {
-            return (
-                closed.into_iter().map(|ring| (ring, Role::Any)).collect(),
-                false,
-            );
+            return (closed.into_iter().map(|ring| (ring, Role::Any)).collect(), false);
         }
     }
     let leftover = apart.iter().any(|(_, rings)| rings.leftover);

@@ -13,10 +13,7 @@ const NANODEGREES_PER_UNIT: i64 = 100;
 pub(super) fn check(block: &PrimitiveBlock) -> Result<(), String> {
     let strings = block.stringtable.s.len();
     let tags = |what: &str, id: i64, keys: &[u32], values: &[u32]| {
-        let inside = keys
-            .iter()
-            .chain(values)
-            .all(|&index| (index as usize) < strings);
+        let inside = keys.iter().chain(values).all(|&index| (index as usize) < strings);
         if keys.len() == values.len() && inside {
             Ok(())
         } else {
@@ -100,10 +97,7 @@ pub(super) fn nodes(block: &PrimitiveBlock) -> impl Iterator<Item = (i64, [i32; 
     let place =
         move |lon: i64, lat: i64| [unit(block.lon_offset(), lon), unit(block.lat_offset(), lat)];
     block.primitivegroup.iter().flat_map(move |group| {
-        let plain = group
-            .nodes
-            .iter()
-            .map(move |node| (node.id(), place(node.lon(), node.lat())));
+        let plain = group.nodes.iter().map(move |node| (node.id(), place(node.lon(), node.lat())));
         let dense = undelta(&group.dense.id)
             .zip(undelta(&group.dense.lon).zip(undelta(&group.dense.lat)))
             .map(move |(id, (lon, lat))| (id, place(lon, lat)));

@@ -13,6 +13,11 @@ const MIN_AREA_M2: f64 = 0.01;
 /// along a parallel enclose about 10⁻⁶ of it in UTM, a 100 m wall of 0.1 m encloses 10⁻³.
 const MIN_FLATNESS: f64 = 1e-5;
 
+/// Crossings are searched for in pairs of segments: 50 million at the worst.
+const MAX_POINTS: usize = 10_000;
+/// The largest buildings are 1 to 3 km wide, in metres.
+const MAX_WIDTH_M: f64 = 10_000.0;
+
 /// What a member's role says about its ring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Role {
@@ -27,6 +32,19 @@ pub(super) enum Role {
 pub(super) struct Ring {
     pub(super) line: LineString<f64>,
     pub(super) role: Role,
+}
+
+/// Whether an object with so many points is worth looking at.
+pub(super) fn check_size(points: usize) -> Result<(), Defect> {
+    if points > MAX_POINTS { Err(Defect::TooManyPoints) } else { Ok(()) }
+}
+
+/// A footprint that is no wider than buildings are.
+pub(super) fn check_width(footprint: MultiPolygon<f64>) -> Result<MultiPolygon<f64>, Defect> {
+    let fits = footprint
+        .bounding_rect()
+        .is_none_or(|bounds| bounds.width() <= MAX_WIDTH_M && bounds.height() <= MAX_WIDTH_M);
+    if fits { Ok(footprint) } else { Err(Defect::TooLarge) }
 }
 
 /// Removes repeated points, and checks that a ring encloses something.
@@ -51,9 +69,9 @@ pub(super) fn clean(
     }
     let polygon = Polygon::new(ring, vec![]);
     let area = polygon.unsigned_area();
-    let diagonal = polygon.bounding_rect().map_or(0.0, |rect| {
-        rect.width() * rect.width() + rect.height() * rect.height()
-    });
+    let diagonal = polygon
+        .bounding_rect()
+        .map_or(0.0, |rect| rect.width() * rect.width() + rect.height() * rect.height());
     if area < MIN_AREA_M2 || area < MIN_FLATNESS * diagonal {
         return Err(Defect::ZeroArea);
     }
@@ -63,9 +81,7 @@ pub(super) fn clean(
 fn distinct_is_below_three(points: &[Coord<f64>]) -> bool {
     let first = points[0];
     let second = points.iter().find(|&&point| point != first);
-    !points
-        .iter()
-        .any(|&point| point != first && Some(&point) != second)
+    !points.iter().any(|&point| point != first && Some(&point) != second)
 }
 
 /// Nests the rings of a relation to polygons. Where a ring lies decides what it is; roles
@@ -74,10 +90,8 @@ fn distinct_is_below_three(points: &[Coord<f64>]) -> bool {
 /// Returns one polygon for each outer ring, which may overlap.
 pub(super) fn nest(mut rings: Vec<Ring>, defects: &mut Vec<Defect>) -> MultiPolygon<f64> {
     drop_twins(&mut rings, defects);
-    let polygons: Vec<Polygon<f64>> = rings
-        .iter()
-        .map(|ring| Polygon::new(ring.line.clone(), vec![]))
-        .collect();
+    let polygons: Vec<Polygon<f64>> =
+        rings.iter().map(|ring| Polygon::new(ring.line.clone(), vec![])).collect();
     let boxes: Vec<Option<Rect<f64>>> = polygons.iter().map(BoundingRect::bounding_rect).collect();
     let areas: Vec<f64> = polygons.iter().map(Area::unsigned_area).collect();
     let inside = |inner: usize, outer: usize| {
@@ -87,26 +101,18 @@ pub(super) fn nest(mut rings: Vec<Ring>, defects: &mut Vec<Defect>) -> MultiPoly
         inner != outer
             && areas[inner] < areas[outer]
             && box_within(inner_box, outer_box)
-            && polygons[inner]
-                .interior_point()
-                .is_some_and(|at| polygons[outer].contains(&at))
+            && polygons[inner].interior_point().is_some_and(|at| polygons[outer].contains(&at))
             && !cross(&rings[inner].line, &rings[outer].line)
     };
     let containers: Vec<Vec<usize>> = (0..rings.len())
-        .map(|inner| {
-            (0..rings.len())
-                .filter(|&outer| inside(inner, outer))
-                .collect()
-        })
+        .map(|inner| (0..rings.len()).filter(|&outer| inside(inner, outer)).collect())
         .collect();
 
     let is_hole = |ring: usize| containers[ring].len() % 2 == 1;
-    let mut outers = Vec::new();
+    let (mut outers, mut orphans) = (Vec::new(), 0);
     for (ring, Ring { role, .. }) in rings.iter().enumerate() {
         match (is_hole(ring), role) {
-            (false, Role::Inner) if containers[ring].is_empty() => {
-                defects.push(Defect::OrphanInner);
-            }
+            (false, Role::Inner) if containers[ring].is_empty() => orphans += 1,
             (hole, Role::Inner) if !hole => {
                 defects.push(Defect::RoleMismatch);
                 outers.push(ring);
@@ -116,20 +122,20 @@ pub(super) fn nest(mut rings: Vec<Ring>, defects: &mut Vec<Defect>) -> MultiPoly
             (false, _) => outers.push(ring),
         }
     }
+    // Without any outer ring it is the relation that is broken, not its holes.
+    if orphans > 0 && !outers.is_empty() {
+        defects.push(Defect::OrphanInner);
+    }
     // A hole belongs to the smallest ring around it.
     let mut holes: Vec<Vec<LineString<f64>>> = vec![Vec::new(); rings.len()];
     for ring in (0..rings.len()).filter(|&ring| is_hole(ring)) {
-        let parent = containers[ring]
-            .iter()
-            .min_by(|&&a, &&b| areas[a].total_cmp(&areas[b]));
+        let parent = containers[ring].iter().min_by(|&&a, &&b| areas[a].total_cmp(&areas[b]));
         if let Some(&parent) = parent {
             holes[parent].push(rings[ring].line.clone());
         }
     }
     let overlapping = outers.iter().enumerate().any(|(index, &a)| {
-        outers[..index]
-            .iter()
-            .any(|&b| overlap(&polygons[a], &polygons[b], boxes[a], boxes[b]))
+        outers[..index].iter().any(|&b| overlap(&polygons[a], &polygons[b], boxes[a], boxes[b]))
     });
     if overlapping {
         defects.push(Defect::OverlappingOuters);
@@ -142,10 +148,8 @@ pub(super) fn nest(mut rings: Vec<Ring>, defects: &mut Vec<Defect>) -> MultiPoly
 /// Removes rings that repeat an earlier one.
 fn drop_twins(rings: &mut Vec<Ring>, defects: &mut Vec<Defect>) {
     let sorted_points = |ring: &Ring| {
-        let mut points: Vec<_> = ring.line.0[1..]
-            .iter()
-            .map(|p| (p.x.to_bits(), p.y.to_bits()))
-            .collect();
+        let mut points: Vec<_> =
+            ring.line.0[1..].iter().map(|p| (p.x.to_bits(), p.y.to_bits())).collect();
         points.sort_unstable();
         points
     };
@@ -232,28 +236,13 @@ mod tests {
     use geo::coord;
 
     fn square(x: f64, y: f64, side: f64) -> LineString<f64> {
-        let corners = [
-            (x, y),
-            (x + side, y),
-            (x + side, y + side),
-            (x, y + side),
-            (x, y),
-        ];
-        LineString(
-            corners
-                .iter()
-                .map(|&(x, y)| coord! { x: x, y: y })
-                .collect(),
-        )
+        let corners = [(x, y), (x + side, y), (x + side, y + side), (x, y + side), (x, y)];
+        LineString(corners.iter().map(|&(x, y)| coord! { x: x, y: y }).collect())
     }
 
     fn nested(rings: &[(LineString<f64>, Role)]) -> (f64, usize, Vec<Defect>) {
         let mut defects = Vec::new();
-        let rings = rings
-            .iter()
-            .cloned()
-            .map(|(line, role)| Ring { line, role })
-            .collect();
+        let rings = rings.iter().cloned().map(|(line, role)| Ring { line, role }).collect();
         let footprint = nest(rings, &mut defects);
         (footprint.unsigned_area(), footprint.0.len(), defects)
     }
@@ -261,25 +250,15 @@ mod tests {
     #[test]
     fn holes_islands_and_roles() {
         use Role::{Any, Inner, Outer};
-        let (outer, hole, island) = (
-            square(0.0, 0.0, 10.0),
-            square(2.0, 2.0, 6.0),
-            square(4.0, 4.0, 2.0),
-        );
+        let (outer, hole, island) =
+            (square(0.0, 0.0, 10.0), square(2.0, 2.0, 6.0), square(4.0, 4.0, 2.0));
         let area = 100.0 - 36.0 + 4.0;
         for roles in [[Outer, Inner, Outer], [Any, Any, Any]] {
-            let rings = [
-                (outer.clone(), roles[0]),
-                (hole.clone(), roles[1]),
-                (island.clone(), roles[2]),
-            ];
+            let rings =
+                [(outer.clone(), roles[0]), (hole.clone(), roles[1]), (island.clone(), roles[2])];
             assert_eq!(nested(&rings), (area, 2, vec![]));
         }
-        let wrong = [
-            (outer.clone(), Outer),
-            (hole.clone(), Outer),
-            (island, Inner),
-        ];
+        let wrong = [(outer.clone(), Outer), (hole.clone(), Outer), (island, Inner)];
         assert_eq!(nested(&wrong), (area, 2, vec![Defect::RoleMismatch; 2]));
         let orphan = [(outer.clone(), Outer), (square(20.0, 0.0, 5.0), Inner)];
         assert_eq!(nested(&orphan), (100.0, 1, vec![Defect::OrphanInner]));
@@ -299,10 +278,7 @@ mod tests {
 
     #[test]
     fn overlapping_outers_stay_two_polygons() {
-        let rings = [
-            (square(0.0, 0.0, 10.0), Role::Outer),
-            (square(5.0, 5.0, 10.0), Role::Outer),
-        ];
+        let rings = [(square(0.0, 0.0, 10.0), Role::Outer), (square(5.0, 5.0, 10.0), Role::Outer)];
         assert_eq!(nested(&rings), (200.0, 2, vec![Defect::OverlappingOuters]));
     }
 
@@ -311,10 +287,7 @@ mod tests {
         let ring = |points: &[(f64, f64)]| {
             let mut defects = Vec::new();
             let points = points.iter().map(|&(x, y)| coord! { x: x, y: y }).collect();
-            (
-                clean(points, &mut defects).map(|line| line.0.len()),
-                defects,
-            )
+            (clean(points, &mut defects).map(|line| line.0.len()), defects)
         };
         let closed = ring(&[(0.0, 0.0), (5.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 0.0)]);
         assert_eq!(closed, (Ok(4), vec![Defect::DuplicatePoints]));

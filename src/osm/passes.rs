@@ -3,6 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
 
+use geo::{MultiPolygon, Polygon};
 use osmpbfreader::osmformat::PrimitiveBlock;
 use rayon::prelude::*;
 
@@ -28,6 +29,19 @@ pub enum ReadError {
     /// The area has no UTM zone, or the configured code is none.
     #[error(transparent)]
     Crs(#[from] CrsError),
+    /// The buildings lie in another part of the world than the area.
+    #[error(
+        "the area lies elsewhere: the buildings are around longitude {lon:.4}, latitude {lat:.4}, \
+         out of reach of EPSG:{epsg}; check --bbox, --area and --epsg"
+    )]
+    Elsewhere {
+        /// The projection of the area.
+        epsg: u32,
+        /// Longitude of the middle of all buildings, in degrees.
+        lon: f64,
+        /// Latitude of the middle of all buildings, in degrees.
+        lat: f64,
+    },
     /// There is nothing to rasterise.
     #[error(
         "no buildings in {}: {found} objects have building tags, none has a usable footprint; \
@@ -46,17 +60,13 @@ impl HasFault for ReadError {
     fn fault(&self) -> Fault {
         match self {
             Self::Pbf(error) => error.fault(),
-            Self::Crs(_) | Self::NoBuildings { .. } => Fault::Input,
+            Self::Crs(_) | Self::Elsewhere { .. } | Self::NoBuildings { .. } => Fault::Input,
         }
     }
 }
 
 fn list(files: &[PathBuf]) -> String {
-    files
-        .iter()
-        .map(|file| file.display().to_string())
-        .collect::<Vec<_>>()
-        .join(", ")
+    files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
 /// All buildings of the extracts.
@@ -95,10 +105,7 @@ pub fn read_buildings(
     area: &Area,
     progress: &dyn Progress,
 ) -> Result<Extract, ReadError> {
-    let files_open = files
-        .iter()
-        .map(|path| PbfFile::open(path))
-        .collect::<Result<Vec<_>, _>>()?;
+    let files_open = files.iter().map(|path| PbfFile::open(path)).collect::<Result<Vec<_>, _>>()?;
     let blobs = files_open.iter().map(|file| file.len() as u64).sum();
 
     progress.begin("reading building tags", Some(blobs));
@@ -108,20 +115,8 @@ pub fn read_buildings(
     for file in &files_open {
         let every: Vec<usize> = (0..file.len()).collect();
         let finds = file.map(&every, progress, |block| find_buildings(block, config))?;
-        node_blobs.push(
-            every
-                .iter()
-                .copied()
-                .filter(|&blob| finds[blob].has_nodes)
-                .collect(),
-        );
-        way_blobs.push(
-            every
-                .iter()
-                .copied()
-                .filter(|&blob| finds[blob].has_ways)
-                .collect(),
-        );
+        node_blobs.push(every.iter().copied().filter(|&blob| finds[blob].has_nodes).collect());
+        way_blobs.push(every.iter().copied().filter(|&blob| finds[blob].has_ways).collect());
         for find in finds {
             found.ways.extend(find.ways);
             found.relations.extend(find.relations);
@@ -129,12 +124,7 @@ pub fn read_buildings(
         }
     }
     progress.end();
-    let Finds {
-        mut ways,
-        mut relations,
-        mut problems,
-        ..
-    } = found;
+    let Finds { mut ways, mut relations, mut problems, .. } = found;
     drop_duplicates(&mut ways, &mut relations, &mut problems);
     let found = ways.len() + relations.len();
 
@@ -146,27 +136,22 @@ pub fn read_buildings(
         (Some(epsg), _) => Utm::from_epsg(epsg)?,
         (None, Some([lon, lat])) => Utm::of_place(lon, lat)?,
         (None, None) => {
-            return Err(ReadError::NoBuildings {
-                files: files.to_owned(),
-                found,
-            });
+            return Err(ReadError::NoBuildings { files: files.to_owned(), found });
         }
     };
     let projector = Projector { nodes: &nodes, utm };
     let buildings = build(&ways, &relations, &members, &projector, &mut problems);
+    let unprojectable = |problem: &Problem| problem.defect == Defect::NotProjectable;
+    if buildings.is_empty() && problems.iter().any(unprojectable) {
+        let [lon, lat] = nodes.middle().unwrap_or([f64::NAN; 2]);
+        return Err(ReadError::Elsewhere { epsg: utm.epsg(), lon, lat });
+    }
     if buildings.is_empty() {
-        return Err(ReadError::NoBuildings {
-            files: files.to_owned(),
-            found,
-        });
+        return Err(ReadError::NoBuildings { files: files.to_owned(), found });
     }
     problems.sort_unstable();
     problems.dedup();
-    Ok(Extract {
-        buildings,
-        utm,
-        problems,
-    })
+    Ok(Extract { buildings, utm, problems })
 }
 
 /// First pass: ways and relations with building tags.
@@ -179,11 +164,7 @@ fn find_buildings(block: &PrimitiveBlock, config: &BuildingsConfig) -> Finds {
             let classified = classify(|key| block::way_tag(block, way, key), config);
             let object = ObjectId::Way(way.id());
             if let Some(attributes) = finds.note(object, classified) {
-                finds.ways.push(RawWay {
-                    id: way.id(),
-                    refs: block::way_refs(way),
-                    attributes,
-                });
+                finds.ways.push(RawWay { id: way.id(), refs: block::way_refs(way), attributes });
             }
         }
         for relation in &group.relations {
@@ -200,11 +181,7 @@ fn find_buildings(block: &PrimitiveBlock, config: &BuildingsConfig) -> Finds {
                         _ => (id, Role::Any),
                     })
                     .collect();
-                finds.relations.push(RawRelation {
-                    id: relation.id(),
-                    members,
-                    attributes,
-                });
+                finds.relations.push(RawRelation { id: relation.id(), members, attributes });
             }
         }
     }
@@ -223,8 +200,7 @@ impl Finds {
             Classified::LeftOut(defect) => (None, vec![defect]),
             Classified::Building(attributes, defects) => (Some(attributes), defects),
         };
-        self.problems
-            .extend(defects.into_iter().map(|defect| Problem { object, defect }));
+        self.problems.extend(defects.into_iter().map(|defect| Problem { object, defect }));
         attributes
     }
 }
@@ -239,10 +215,7 @@ fn drop_duplicates(
     let mut is_first = |object: ObjectId| {
         let first = seen.insert(object);
         if !first {
-            problems.push(Problem {
-                object,
-                defect: Defect::DuplicateObject,
-            });
+            problems.push(Problem { object, defect: Defect::DuplicateObject });
         }
         first
     };
@@ -257,10 +230,8 @@ fn read_members(
     relations: &[RawRelation],
     progress: &dyn Progress,
 ) -> Result<HashMap<i64, Vec<i64>>, PbfError> {
-    let wanted: HashSet<i64> = relations
-        .iter()
-        .flat_map(|relation| relation.members.iter().map(|(id, _)| *id))
-        .collect();
+    let wanted: HashSet<i64> =
+        relations.iter().flat_map(|relation| relation.members.iter().map(|(id, _)| *id)).collect();
     let mut members = HashMap::with_capacity(wanted.len());
     if wanted.is_empty() {
         return Ok(members);
@@ -306,6 +277,23 @@ fn count(blobs: &[Vec<usize>]) -> u64 {
     blobs.iter().map(|blobs| blobs.len() as u64).sum()
 }
 
+/// Whether a relation stands for one of its member ways that carries building tags itself:
+/// an outer ring would fill the relation's holes, a piece of a ring is no building.
+fn stands_for(
+    relation: &Building,
+    way: &RawWay,
+    footprint: Result<&MultiPolygon<f64>, &Defect>,
+) -> bool {
+    relation.attributes.kind == way.attributes.kind
+        && match footprint {
+            Ok(footprint) => {
+                let mut outers = relation.footprint.iter().map(Polygon::exterior);
+                outers.any(|outer| Some(outer) == footprint.0.first().map(Polygon::exterior))
+            }
+            Err(defect) => *defect == Defect::OpenWay,
+        }
+}
+
 /// Footprints of all objects, in parallel and in order.
 fn build(
     ways: &[RawWay],
@@ -320,55 +308,34 @@ fn build(
             Ok(footprint) => (Some(footprint), None),
             Err(defect) => (None, Some(defect)),
         };
-        let problems: Vec<_> = defects
-            .into_iter()
-            .chain(fatal)
-            .map(|defect| Problem { object, defect })
-            .collect();
-        (
-            footprint.map(|footprint| Building {
-                object,
-                footprint,
-                attributes,
-            }),
-            problems,
-        )
+        let problems: Vec<_> =
+            defects.into_iter().chain(fatal).map(|defect| Problem { object, defect }).collect();
+        (footprint.map(|footprint| Building { object, footprint, attributes }), problems)
     };
     let from_relations: Vec<Built> = relations
         .par_iter()
         .map(|relation| {
             let mut defects = Vec::new();
             let footprint = relation_footprint(relation, members, projector, &mut defects);
-            built(
-                ObjectId::Relation(relation.id),
-                relation.attributes,
-                defects,
-                footprint,
-            )
+            built(ObjectId::Relation(relation.id), relation.attributes, defects, footprint)
         })
         .collect();
-    // An outer way that carries the tags of its relation once more would fill the holes.
-    let covered: HashSet<_> = relations
-        .iter()
-        .zip(&from_relations)
-        .filter(|(_, (building, _))| building.is_some())
-        .flat_map(|(relation, _)| {
-            let outer = relation
-                .members
-                .iter()
-                .filter(|(_, role)| *role == Role::Outer);
-            outer.map(|&(id, _)| (id, relation.attributes.kind))
-        })
-        .collect();
+    let mut parents: HashMap<i64, Vec<&Building>> = HashMap::new();
+    for (relation, (building, _)) in relations.iter().zip(&from_relations) {
+        for (way, _) in building.iter().flat_map(|_| &relation.members) {
+            parents.entry(*way).or_default().extend(building);
+        }
+    }
     let from_ways: Vec<Built> = ways
         .par_iter()
         .map(|way| {
             let mut defects = Vec::new();
-            let footprint = if covered.contains(&(way.id, way.attributes.kind)) {
-                Err(Defect::CoveredByRelation)
-            } else {
-                way_footprint(way, projector, &mut defects)
-            };
+            let mut footprint = way_footprint(way, projector, &mut defects);
+            let parents = parents.get(&way.id).into_iter().flatten();
+            if parents.into_iter().any(|parent| stands_for(parent, way, footprint.as_ref())) {
+                defects.clear();
+                footprint = Err(Defect::CoveredByRelation);
+            }
             built(ObjectId::Way(way.id), way.attributes, defects, footprint)
         })
         .collect();

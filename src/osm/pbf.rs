@@ -119,11 +119,7 @@ impl PbfFile {
     pub(super) fn open(path: &Path) -> Result<Self, PbfError> {
         let file = File::open(path).map_err(FileError::new("open", path))?;
         let size = file.metadata().map_err(FileError::new("read", path))?.len();
-        let mut this = Self {
-            path: path.to_owned(),
-            file,
-            blobs: Vec::new(),
-        };
+        let mut this = Self { path: path.to_owned(), file, blobs: Vec::new() };
         if size == 0 {
             return Err(PbfError::Empty { path: this.path });
         }
@@ -187,15 +183,13 @@ impl PbfFile {
         let inside = |offset: u64, expected: u64| {
             let found = size - offset;
             let path = self.path.clone();
-            (found >= expected)
-                .then_some(())
-                .ok_or(PbfError::Truncated {
-                    path,
-                    blob,
-                    offset,
-                    expected,
-                    found,
-                })
+            (found >= expected).then_some(()).ok_or(PbfError::Truncated {
+                path,
+                blob,
+                offset,
+                expected,
+                found,
+            })
         };
         inside(position, 4)?;
         let mut length = [0; 4];
@@ -210,15 +204,9 @@ impl PbfFile {
         self.read_at(&mut header, position + 4)?;
         let header = BlobHeader::parse_from_bytes(&header)
             .map_err(|error| self.damaged(blob, position, error.to_string()))?;
-        let bytes = u32::try_from(header.datasize())
-            .ok()
-            .filter(|&bytes| bytes <= MAX_BLOB);
+        let bytes = u32::try_from(header.datasize()).ok().filter(|&bytes| bytes <= MAX_BLOB);
         let bytes = bytes.ok_or_else(|| {
-            self.damaged(
-                blob,
-                position,
-                format!("declares {} bytes", header.datasize()),
-            )
+            self.damaged(blob, position, format!("declares {} bytes", header.datasize()))
         })?;
         let offset = position + 4 + u64::from(length);
         inside(offset, bytes.into())?;
@@ -229,11 +217,7 @@ impl PbfFile {
         let bytes = self.unpack(0, entry)?;
         let header = HeaderBlock::parse_from_bytes(&bytes)
             .map_err(|error| self.not_pbf(format!("header: {error}")))?;
-        match header
-            .required_features
-            .iter()
-            .find(|name| !FEATURES.contains(&name.as_str()))
-        {
+        match header.required_features.iter().find(|name| !FEATURES.contains(&name.as_str())) {
             None => Ok(()),
             Some(feature) => Err(PbfError::Unsupported {
                 path: self.path.clone(),
@@ -260,9 +244,7 @@ impl PbfFile {
                 mend: "rewrite it with `osmium cat -f pbf,pbf_compression=zlib`",
             });
         }
-        let declared = u32::try_from(content.raw_size())
-            .ok()
-            .filter(|&size| size <= MAX_BLOB);
+        let declared = u32::try_from(content.raw_size()).ok().filter(|&size| size <= MAX_BLOB);
         let declared = declared
             .ok_or_else(|| corrupt(format!("declares {} unpacked bytes", content.raw_size())))?;
         let mut unpacked = Vec::with_capacity(declared as usize);
@@ -271,42 +253,25 @@ impl PbfFile {
             .read_to_end(&mut unpacked)
             .map_err(|error| corrupt(error.to_string()))?;
         if unpacked.len() != declared as usize {
-            return Err(corrupt(format!(
-                "does not unpack to the {declared} bytes it declares"
-            )));
+            return Err(corrupt(format!("does not unpack to the {declared} bytes it declares")));
         }
         Ok(unpacked)
     }
 
     fn read_at(&self, bytes: &mut [u8], offset: u64) -> Result<(), PbfError> {
-        Ok(self
-            .file
-            .read_exact_at(bytes, offset)
-            .map_err(FileError::new("read", &self.path))?)
+        Ok(self.file.read_exact_at(bytes, offset).map_err(FileError::new("read", &self.path))?)
     }
 
     /// Nonsense in the first frame means another format, later on damage.
     fn damaged(&self, blob: usize, offset: u64, reason: String) -> PbfError {
-        if blob == 0 {
-            self.not_pbf(reason)
-        } else {
-            self.corrupt(blob, offset, reason)
-        }
+        if blob == 0 { self.not_pbf(reason) } else { self.corrupt(blob, offset, reason) }
     }
 
     fn not_pbf(&self, reason: String) -> PbfError {
-        PbfError::NotPbf {
-            path: self.path.clone(),
-            reason,
-        }
+        PbfError::NotPbf { path: self.path.clone(), reason }
     }
 
     fn corrupt(&self, blob: usize, offset: u64, reason: String) -> PbfError {
-        PbfError::Corrupt {
-            path: self.path.clone(),
-            blob,
-            offset,
-            reason,
-        }
+        PbfError::Corrupt { path: self.path.clone(), blob, offset, reason }
     }
 }

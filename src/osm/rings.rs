@@ -53,11 +53,7 @@ pub(super) fn assemble(ways: &[&[i64]]) -> Rings {
             };
             used[next] = true;
             let backwards = open[next][0] != here;
-            let there = if backwards {
-                open[next][0]
-            } else {
-                open[next][open[next].len() - 1]
-            };
+            let there = if backwards { open[next][0] } else { open[next][open[next].len() - 1] };
             path.push((next, backwards));
             match junctions.iter().position(|&node| node == there) {
                 None => junctions.push(there),
@@ -93,13 +89,7 @@ mod tests {
     #[test]
     fn open_ways_in_any_order_and_direction_close() {
         let rings = assemble(&[&[1, 2, 3], &[5, 4, 3], &[1, 6, 5]]);
-        assert_eq!(
-            rings,
-            Rings {
-                closed: vec![vec![1, 2, 3, 4, 5, 6, 1]],
-                leftover: false
-            }
-        );
+        assert_eq!(rings, Rings { closed: vec![vec![1, 2, 3, 4, 5, 6, 1]], leftover: false });
     }
 
     #[test]
@@ -115,13 +105,7 @@ mod tests {
         let rings = assemble(&[&[1, 2], &[2, 7, 8], &[2, 3, 1], &[20, 21, 20]]);
         assert_eq!(rings.closed.len(), 2);
         assert!(rings.leftover);
-        assert_eq!(
-            assemble(&[&[1, 2], &[2, 3]]),
-            Rings {
-                closed: vec![],
-                leftover: true
-            }
-        );
+        assert_eq!(assemble(&[&[1, 2], &[2, 3]]), Rings { closed: vec![], leftover: true });
         assert!(assemble(&[&[], &[4]]).leftover);
     }
 

@@ -42,11 +42,7 @@ pub(super) fn align(
     grid: &GridConfig,
     floor: Dbm,
 ) -> AlignedMap {
-    let Geometry {
-        cell_m,
-        offset,
-        cells,
-    } = *geometry;
+    let Geometry { cell_m, offset, cells } = *geometry;
     let is_no_path = no_path(metadata, map.dtype);
     let last = map.values.nrows() - 1;
     let mut rsrp_dbm = Array2::from_elem((cells, cells), floor.0 as f32);
@@ -72,11 +68,7 @@ pub(super) fn align(
             }
         }
     }
-    AlignedMap {
-        rsrp_dbm,
-        mask,
-        counts,
-    }
+    AlignedMap { rsrp_dbm, mask, counts }
 }
 
 /// Whether all of a map's cell is occupied; `ratio` is its side in cells of the grid,
@@ -85,15 +77,8 @@ fn is_building(occupied: &Array2<bool>, row: usize, column: usize, ratio: f64) -
     let range = |index: usize| {
         let start = (index as f64 * ratio).round().max(0.0);
         // Cells finer than the grid's lie in one cell of it.
-        let start = if ratio < 1.0 {
-            ((index as f64 + 0.5) * ratio).floor()
-        } else {
-            start
-        };
+        let start = if ratio < 1.0 { ((index as f64 + 0.5) * ratio).floor() } else { start };
         start as usize..start as usize + (ratio.round() as usize).max(1)
     };
-    occupied
-        .slice(s![range(row), range(column)])
-        .iter()
-        .all(|&occupied| occupied)
+    occupied.slice(s![range(row), range(column)]).iter().all(|&occupied| occupied)
 }

@@ -63,10 +63,7 @@ pub(super) fn geometry(
     if whole(record_cell_m / cell).is_none_or(|ratio| ratio == 0) || !fits(cell, grid.cell_m) {
         return Err(Rejection::new(
             RejectionCode::IncompatibleCellSize,
-            format!(
-                "cells that make up {record_cell_m} m and lie on the grid's {} m",
-                grid.cell_m
-            ),
+            format!("cells that make up {record_cell_m} m and lie on the grid's {} m", grid.cell_m),
             format!("{cell} m"),
             format!("trace with cell_size = {} or {record_cell_m}", grid.cell_m),
         ));
@@ -85,14 +82,8 @@ pub(super) fn geometry(
         return Err(Rejection::new(
             RejectionCode::MisalignedWindow,
             format!("the central {crop} m to begin on a cell"),
-            format!(
-                "{count} cells of {cell} m: it begins {} cells in",
-                (size - crop) / 2.0 / cell
-            ),
-            format!(
-                "trace {crop} m at {cell} m, or {} m at {} m",
-                grid.side_m, grid.cell_m
-            ),
+            format!("{count} cells of {cell} m: it begins {} cells in", (size - crop) / 2.0 / cell),
+            format!("trace {crop} m at {cell} m, or {} m at {} m", grid.side_m, grid.cell_m),
         ));
     };
     let epsg = metadata.crs.epsg();
@@ -115,11 +106,7 @@ pub(super) fn geometry(
             "center the map on the tile, or correct map_center_m",
         ));
     }
-    Ok(Geometry {
-        cell_m: cell,
-        offset,
-        cells,
-    })
+    Ok(Geometry { cell_m: cell, offset, cells })
 }
 
 /// Whether a value stands for "no path", as the file's element type rounds it.
@@ -136,12 +123,7 @@ pub(super) fn no_path(metadata: &RadioMapMetadata, dtype: DType) -> impl Fn(f64)
 /// NaN, infinities, impossible powers and undeclared floors.
 pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(), Rejection> {
     let is_no_path = no_path(metadata, map.dtype);
-    let present = || {
-        map.values
-            .iter()
-            .copied()
-            .filter(|&value| !is_no_path(value))
-    };
+    let present = || map.values.iter().copied().filter(|&value| !is_no_path(value));
     let total = map.values.len();
     let declared = metadata.no_path_value.value();
 
@@ -247,7 +229,5 @@ pub(super) fn transmitter(
             "trace with the buildings of this tile, or correct tx_position_m",
         ));
     }
-    Ok(Some(format!(
-        "transmitter {found}, whose height is uncertain"
-    )))
+    Ok(Some(format!("transmitter {found}, whose height is uncertain")))
 }

@@ -93,25 +93,18 @@ pub fn load_values(
     let kind = value_kind(name.as_deref(), metadata.value_kind)?;
     check_type(npy.dtype, kind)?;
     let values = matrix(&npy)?;
-    Ok(LoadedMap {
-        values,
-        kind,
-        dtype: npy.dtype,
-    })
+    Ok(LoadedMap { values, kind, dtype: npy.dtype })
 }
 
 /// Whether a file may be meant as a map, going by its name.
 pub(super) fn may_be_map(path: &Path) -> bool {
-    const MAPS: [&str; 12] = [
-        "npz", "npy", "h5", "hdf5", "mat", "png", "tif", "tiff", "csv", "pkl", "pickle", "pt",
-    ];
+    const MAPS: [&str; 12] =
+        ["npz", "npy", "h5", "hdf5", "mat", "png", "tif", "tiff", "csv", "pkl", "pickle", "pt"];
     MAPS.contains(&extension(path).to_ascii_lowercase().as_str())
 }
 
 fn extension(path: &Path) -> &str {
-    path.extension()
-        .and_then(|extension| extension.to_str())
-        .unwrap_or("")
+    path.extension().and_then(|extension| extension.to_str()).unwrap_or("")
 }
 
 fn unsupported(path: &Path) -> Rejection {
@@ -123,12 +116,7 @@ fn unsupported(path: &Path) -> Rejection {
         _ => "load it with the program that wrote it and save it with np.savez",
     };
     let found = format!("a .{} file", extension(path));
-    Rejection::new(
-        RejectionCode::UnsupportedFormat,
-        ".npz, or .npy with .json",
-        found,
-        mend,
-    )
+    Rejection::new(RejectionCode::UnsupportedFormat, ".npz, or .npy with .json", found, mend)
 }
 
 fn no_metadata(found: &str) -> Rejection {
@@ -174,22 +162,12 @@ fn unreadable(error: &impl ToString) -> Rejection {
 
 fn too_large(found: String) -> Rejection {
     let expected = "an array within rsrp.max_array_mib";
-    Rejection::new(
-        RejectionCode::TooLarge,
-        expected,
-        found,
-        "crop the map, or raise the limit",
-    )
+    Rejection::new(RejectionCode::TooLarge, expected, found, "crop the map, or raise the limit")
 }
 
 fn damaged(found: String) -> Rejection {
     let mend = "write or copy the file again";
-    Rejection::new(
-        RejectionCode::Damaged,
-        "an undamaged NumPy file",
-        found,
-        mend,
-    )
+    Rejection::new(RejectionCode::Damaged, "an undamaged NumPy file", found, mend)
 }
 
 fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, Rejection> {
@@ -233,10 +211,7 @@ fn value_array(names: &[String]) -> Result<String, Rejection> {
 }
 
 fn value_kind(name: Option<&str>, declared: Option<ValueKind>) -> Result<ValueKind, Rejection> {
-    let told = TELLING_NAMES
-        .iter()
-        .find(|(known, _)| Some(*known) == name)
-        .map(|(_, kind)| *kind);
+    let told = TELLING_NAMES.iter().find(|(known, _)| Some(*known) == name).map(|(_, kind)| *kind);
     match (told, declared) {
         (Some(told), Some(declared)) if told != declared => Err(Rejection::new(
             RejectionCode::ContradictingValueKind,
@@ -248,10 +223,7 @@ fn value_kind(name: Option<&str>, declared: Option<ValueKind>) -> Result<ValueKi
         (None, None) => Err(Rejection::new(
             RejectionCode::UnknownValueKind,
             "value_kind in the metadata",
-            format!(
-                "an array named {:?}, which may be anything",
-                name.unwrap_or("(bare .npy)")
-            ),
+            format!("an array named {:?}, which may be anything", name.unwrap_or("(bare .npy)")),
             "set value_kind to path_gain_linear, path_gain_db, rss_w, rss_dbm, rsrp_dbm or path_loss_db",
         )),
     }
@@ -260,18 +232,10 @@ fn value_kind(name: Option<&str>, declared: Option<ValueKind>) -> Result<ValueKi
 fn check_type(dtype: DType, kind: ValueKind) -> Result<(), Rejection> {
     let reject = |expected: &str, mend: &str| {
         let found = format!("{} of {}", kind.name(), dtype.name());
-        Err(Rejection::new(
-            RejectionCode::UnsupportedType,
-            expected,
-            found,
-            mend,
-        ))
+        Err(Rejection::new(RejectionCode::UnsupportedType, expected, found, mend))
     };
     match dtype {
-        DType::UInt8 => reject(
-            "floating-point values",
-            "save the solver's array, not an image",
-        ),
+        DType::UInt8 => reject("floating-point values", "save the solver's array, not an image"),
         DType::Float16 if kind.is_linear() => reject(
             "float32 or float64: float16 rounds nearly all linear gains to zero",
             "save it as float32, or in dB",
@@ -294,11 +258,7 @@ fn matrix(npy: &Npy<'_>) -> Result<Array2<f64>, Rejection> {
     let values = npy.values_f64();
     Ok(Array2::from_shape_fn((rows, columns), |(row, column)| {
         // In Fortran order the first index runs fastest; a leading axis of one changes nothing.
-        let at = if npy.fortran_order {
-            column * rows + row
-        } else {
-            row * columns + column
-        };
+        let at = if npy.fortran_order { column * rows + row } else { row * columns + column };
         values[at]
     }))
 }
@@ -327,21 +287,12 @@ pub(super) fn list(directory: &Path) -> std::io::Result<(Vec<PathBuf>, Vec<Strin
         .map(|entry| entry.map(|entry| entry.path()))
         .collect::<std::io::Result<Vec<_>>>()?;
     paths.sort();
-    let (maps, others): (Vec<_>, Vec<_>) = paths
-        .into_iter()
-        .filter(|path| path.is_file())
-        .partition(|path| may_be_map(path));
+    let (maps, others): (Vec<_>, Vec<_>) =
+        paths.into_iter().filter(|path| path.is_file()).partition(|path| may_be_map(path));
     // A .json beside an .npy is its metadata.
     let is_sidecar =
         |path: &PathBuf| extension(path) == "json" && maps.contains(&path.with_extension("npy"));
-    let name = |path: PathBuf| {
-        path.file_name()
-            .map(|name| name.to_string_lossy().into_owned())
-    };
-    let ignored = others
-        .into_iter()
-        .filter(|path| !is_sidecar(path))
-        .filter_map(name)
-        .collect();
+    let name = |path: PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let ignored = others.into_iter().filter(|path| !is_sidecar(path)).filter_map(name).collect();
     Ok((maps, ignored))
 }

@@ -210,19 +210,9 @@ impl RadioMapMetadata {
             if holds { Ok(()) } else { Err(reject()) }
         };
         let schema = self.schema.as_deref().unwrap_or(Self::SCHEMA);
-        demand(
-            schema == Self::SCHEMA,
-            "schema",
-            Self::SCHEMA,
-            schema.to_owned(),
-        )?;
+        demand(schema == Self::SCHEMA, "schema", Self::SCHEMA, schema.to_owned())?;
         let positive = |key: &str, value: f64| {
-            demand(
-                value > 0.0 && value.is_finite(),
-                key,
-                "a positive number",
-                value.to_string(),
-            )
+            demand(value > 0.0 && value.is_finite(), key, "a positive number", value.to_string())
         };
         positive("cell_size_m", self.cell_size_m)?;
         positive("map_size_m", self.map_size_m)?;
@@ -235,12 +225,7 @@ impl RadioMapMetadata {
             height.to_string(),
         )?;
         let crs = self.crs.epsg();
-        demand(
-            crs.is_some(),
-            "crs",
-            "an EPSG code such as EPSG:32610",
-            format!("{:?}", self.crs),
-        )?;
+        demand(crs.is_some(), "crs", "an EPSG code such as EPSG:32610", format!("{:?}", self.crs))?;
         if self.tx_power_is == PowerReference::Total {
             demand(
                 self.n_subcarriers.is_some_and(|count| count > 0),

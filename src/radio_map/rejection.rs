@@ -102,27 +102,13 @@ impl Rejection {
         found: impl Into<String>,
         mend: impl Into<String>,
     ) -> Self {
-        Self {
-            code,
-            expected: expected.into(),
-            found: found.into(),
-            mend: mend.into(),
-        }
+        Self { code, expected: expected.into(), found: found.into(), mend: mend.into() }
     }
 }
 
 impl fmt::Display for Rejection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            code,
-            expected,
-            found,
-            mend,
-        } = self;
-        write!(
-            f,
-            "{}: found {found}, expected {expected}; {mend}",
-            code.name()
-        )
+        let Self { code, expected, found, mend } = self;
+        write!(f, "{}: found {found}, expected {expected}; {mend}", code.name())
     }
 }

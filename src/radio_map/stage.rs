@@ -94,15 +94,8 @@ struct Source {
 /// What became of a file: what the journal remembers.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 enum Outcome {
-    Imported {
-        entry: MapEntry,
-        radio: Radio,
-    },
-    Rejected {
-        file: String,
-        location: String,
-        rejection: Rejection,
-    },
+    Imported { entry: MapEntry, radio: Radio },
+    Rejected { file: String, location: String, rejection: Rejection },
 }
 
 /// Everything that the import of one map needs to know.
@@ -129,20 +122,12 @@ pub fn import_maps(
         load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
     let (paths, ignored) = list(job.maps).map_err(FileError::new("list", job.maps))?;
     if paths.is_empty() {
-        return Err(ImportError::NoMaps {
-            directory: job.maps.to_owned(),
-        });
+        return Err(ImportError::NoMaps { directory: job.maps.to_owned() });
     }
-    let sources = paths
-        .into_par_iter()
-        .map(source)
-        .collect::<Result<Vec<_>, _>>()?;
+    let sources = paths.into_par_iter().map(source).collect::<Result<Vec<_>, _>>()?;
     let config = &job.config.rsrp;
     let record_cell_m = job.config.shard.cell_m(&manifest.config.grid);
-    let inputs: Vec<_> = sources
-        .iter()
-        .map(|source| (&source.name, &source.digest))
-        .collect();
+    let inputs: Vec<_> = sources.iter().map(|source| (&source.name, &source.digest)).collect();
     let fingerprint = fingerprint(&(
         RsrpManifest::SCHEMA,
         config,
@@ -156,11 +141,7 @@ pub fn import_maps(
     let context = Context {
         tiles: job.tiles,
         manifest: &manifest,
-        by_id: manifest
-            .tiles
-            .iter()
-            .map(|entry| (entry.id, entry))
-            .collect(),
+        by_id: manifest.tiles.iter().map(|entry| (entry.id, entry)).collect(),
         dropped: dropped_tiles(job.tiles)?,
         rsrp: config,
         record_cell_m,
@@ -174,11 +155,7 @@ pub fn import_maps(
 }
 
 fn source(path: PathBuf) -> Result<Source, FileError> {
-    let name = path
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned();
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     // Metadata beside an .npy belong to it: other metadata, another map.
     let mut digest = sha256_file(&path)?;
     let sidecar = path.with_extension("json");
@@ -208,10 +185,7 @@ fn import_all(
     let mut claims: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for (source, metadata) in sources.iter().zip(&metadata) {
         if let Ok(metadata) = metadata {
-            claims
-                .entry(&metadata.location_id)
-                .or_default()
-                .push(&source.name);
+            claims.entry(&metadata.location_id).or_default().push(&source.name);
         }
     }
     progress.begin("importing radio maps", Some(sources.len() as u64));
@@ -408,21 +382,10 @@ fn rsrp_npz(meta: &RsrpMeta, map: &AlignedMap) -> Vec<u8> {
 fn rejected_csv(outcomes: &[Outcome]) -> Vec<u8> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let header = ["file", "location", "code", "expected", "found", "mend"];
-    csv.write_record(header)
-        .expect("writing to memory cannot fail");
+    csv.write_record(header).expect("writing to memory cannot fail");
     for outcome in outcomes {
-        if let Outcome::Rejected {
-            file,
-            location,
-            rejection,
-        } = outcome
-        {
-            let Rejection {
-                code,
-                expected,
-                found,
-                mend,
-            } = rejection;
+        if let Outcome::Rejected { file, location, rejection } = outcome {
+            let Rejection { code, expected, found, mend } = rejection;
             csv.write_record([file, location, &code.name(), expected, found, mend])
                 .expect("writing to memory cannot fail");
         }
@@ -449,10 +412,7 @@ fn summarise(
                 maps.push(entry.clone());
                 match radios.iter_mut().find(|known| known.radio == *radio) {
                     Some(known) => known.maps += 1,
-                    None => radios.push(RadioCount {
-                        radio: radio.clone(),
-                        maps: 1,
-                    }),
+                    None => radios.push(RadioCount { radio: radio.clone(), maps: 1 }),
                 }
             }
         }

@@ -30,10 +30,7 @@ impl<'a> TileSource<'a> {
         let boxes: Vec<Rect<f64>> = buildings
             .iter()
             .map(|building| {
-                building
-                    .footprint
-                    .bounding_rect()
-                    .expect("a footprint has at least one ring")
+                building.footprint.bounding_rect().expect("a footprint has at least one ring")
             })
             .collect();
         let spacing = f64::from(grid.spacing_m);
@@ -43,13 +40,7 @@ impl<'a> TileSource<'a> {
                 blocks.entry(block).or_default().push(index as u32);
             }
         }
-        Self {
-            buildings,
-            boxes,
-            blocks,
-            grid,
-            utm,
-        }
+        Self { buildings, boxes, blocks, grid, utm }
     }
 
     /// All tiles of the lattice that some building's bounding box meets.
@@ -67,11 +58,7 @@ impl<'a> TileSource<'a> {
             for column in range(bounds.min().x, bounds.max().x) {
                 for row in range(bounds.min().y, bounds.max().y) {
                     let (easting, northing) = (column * spacing, row * spacing);
-                    tiles.insert(TileId {
-                        utm: self.utm,
-                        easting,
-                        northing,
-                    });
+                    tiles.insert(TileId { utm: self.utm, easting, northing });
                 }
             }
         }
@@ -97,10 +84,7 @@ impl<'a> TileSource<'a> {
             .collect();
         indices.sort_unstable();
         indices.dedup();
-        indices
-            .into_iter()
-            .map(|index| &self.buildings[index as usize])
-            .collect()
+        indices.into_iter().map(|index| &self.buildings[index as usize]).collect()
     }
 }
 

@@ -62,12 +62,7 @@ mod tests {
     use geo::{Contains, LineString, Point};
     use proptest::prelude::*;
 
-    const WINDOW: Window = Window {
-        west: 1000.0,
-        north: 2000.0,
-        cell: 1.0,
-        cells: 24,
-    };
+    const WINDOW: Window = Window { west: 1000.0, north: 2000.0, cell: 1.0, cells: 24 };
 
     fn cells(polygon: &Polygon<f64>) -> Vec<(usize, usize)> {
         let mut painted = Vec::new();
@@ -79,10 +74,8 @@ mod tests {
     }
 
     fn ring(points: &[(f64, f64)]) -> LineString<f64> {
-        let mut line: LineString<f64> = points
-            .iter()
-            .map(|&(x, y)| (1000.0 + x, 1976.0 + y))
-            .collect();
+        let mut line: LineString<f64> =
+            points.iter().map(|&(x, y)| (1000.0 + x, 1976.0 + y)).collect();
         line.close();
         line
     }
@@ -99,14 +92,8 @@ mod tests {
 
     #[test]
     fn centres_on_a_shared_edge_belong_to_one_side() {
-        let west = Polygon::new(
-            ring(&[(2.0, 2.5), (4.5, 2.5), (4.5, 8.5), (2.0, 8.5)]),
-            vec![],
-        );
-        let east = Polygon::new(
-            ring(&[(4.5, 2.5), (9.0, 2.5), (9.0, 8.5), (4.5, 8.5)]),
-            vec![],
-        );
+        let west = Polygon::new(ring(&[(2.0, 2.5), (4.5, 2.5), (4.5, 8.5), (2.0, 8.5)]), vec![]);
+        let east = Polygon::new(ring(&[(4.5, 2.5), (9.0, 2.5), (9.0, 8.5), (4.5, 8.5)]), vec![]);
         let (west, east) = (cells(&west), cells(&east));
         assert!(west.iter().all(|cell| !east.contains(cell)));
         assert_eq!(west.len() + east.len(), 6 * 7);
@@ -114,12 +101,7 @@ mod tests {
 
     #[test]
     fn what_lies_outside_of_the_window_is_cut_off() {
-        let big = ring(&[
-            (-50.0, -50.0),
-            (500.0, -50.0),
-            (500.0, 500.0),
-            (-50.0, 500.0),
-        ]);
+        let big = ring(&[(-50.0, -50.0), (500.0, -50.0), (500.0, 500.0), (-50.0, 500.0)]);
         assert_eq!(cells(&Polygon::new(big, vec![])).len(), 24 * 24);
         let far = ring(&[(100.0, 0.0), (110.0, 0.0), (110.0, 10.0)]);
         assert!(cells(&Polygon::new(far, vec![])).is_empty());

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::index::TileSource;
 use super::tile::HeightGrid;
 use crate::building::{Action, Building, Defect, HeightSource, Kind, Problem};
-use crate::config::{Config, FilterConfig};
+use crate::config::{Config, FilterConfig, GridConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::{Area, TileId};
 use crate::manifest::{
@@ -36,6 +36,17 @@ pub enum RasteriseError {
     /// The output directory cannot be used.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// All buildings lie between the tiles.
+    #[error(
+        "no building meets a tile: tiles of grid.side_m = {side_m} m every \
+         grid.spacing_m = {spacing_m} m leave gaps"
+    )]
+    NoTile {
+        /// Side of a tile, in metres.
+        side_m: u32,
+        /// Distance between tile centres, in metres.
+        spacing_m: u32,
+    },
     /// No tile of the lattice has both its centre in the area and a building.
     #[error(
         "the area holds no tile: none of the {candidates} tiles with buildings has its centre \
@@ -56,7 +67,7 @@ impl HasFault for RasteriseError {
         match self {
             Self::Read(error) => error.fault(),
             Self::Output(error) => error.fault(),
-            Self::NothingInArea { .. } => Fault::Input,
+            Self::NoTile { .. } | Self::NothingInArea { .. } => Fault::Input,
         }
     }
 }
@@ -100,30 +111,19 @@ pub fn build_tiles(
     job: TilesJob<'_>,
     progress: &dyn Progress,
 ) -> Result<TilesManifest, RasteriseError> {
-    let Config {
-        grid,
-        buildings,
-        filter,
-        ..
-    } = job.config;
-    let config = TilesConfig {
-        grid: grid.clone(),
-        buildings: buildings.clone(),
-        filter: filter.clone(),
-    };
+    let Config { grid, buildings, filter, .. } = job.config;
+    let config =
+        TilesConfig { grid: grid.clone(), buildings: buildings.clone(), filter: filter.clone() };
     let inputs = inputs(job.osm, &config)?;
     let area = coordinates(job.area);
     let digests: Vec<_> = inputs.iter().map(|input| &input.digest).collect();
     let fingerprint = fingerprint(&(TilesManifest::SCHEMA, &config, &digests, &area));
     OutputDir::check(job.out, "tiles", &fingerprint, job.overwrite)?;
 
-    let Extract {
-        buildings,
-        utm,
-        problems,
-    } = read_buildings(job.osm, &config.buildings, grid.epsg, job.area, progress)?;
+    let Extract { buildings, utm, problems } =
+        read_buildings(job.osm, &config.buildings, grid.epsg, job.area, progress)?;
     let source = TileSource::new(&buildings, grid, utm);
-    let candidates = select(&source, job.area)?;
+    let candidates = select(&source, job.area, grid)?;
 
     let output = OutputDir::begin(job.out, "tiles", &fingerprint, job.overwrite)?;
     progress.begin("rasterising tiles", Some(candidates.len() as u64));
@@ -167,11 +167,7 @@ fn inputs(files: &[PathBuf], config: &TilesConfig) -> Result<Vec<Input>, FileErr
         .par_iter()
         .map(|path| {
             Ok(Input {
-                file: path
-                    .file_name()
-                    .unwrap_or_default()
-                    .to_string_lossy()
-                    .into_owned(),
+                file: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
                 digest: sha256_file(path)?,
                 licence: config.buildings.licence.clone(),
                 attribution: config.buildings.attribution.clone(),
@@ -187,30 +183,29 @@ fn coordinates(area: &Area) -> Option<Vec<Vec<Vec<[f64; 2]>>>> {
     };
     let ring = |line: &geo::LineString<f64>| line.coords().map(|p| [p.x, p.y]).collect();
     let rings = |polygon: &geo::Polygon<f64>| {
-        std::iter::once(polygon.exterior())
-            .chain(polygon.interiors())
-            .map(ring)
-            .collect()
+        std::iter::once(polygon.exterior()).chain(polygon.interiors()).map(ring).collect()
     };
     Some(polygons.iter().map(rings).collect())
 }
 
-fn select(source: &TileSource<'_>, area: &Area) -> Result<Vec<TileId>, RasteriseError> {
+fn select(
+    source: &TileSource<'_>,
+    area: &Area,
+    grid: &GridConfig,
+) -> Result<Vec<TileId>, RasteriseError> {
     let candidates = source.candidates();
+    let Some(first) = candidates.first() else {
+        let (side_m, spacing_m) = (grid.side_m, grid.spacing_m);
+        return Err(RasteriseError::NoTile { side_m, spacing_m });
+    };
     let inside = |tile: &TileId| {
         let [lon, lat] = tile.lon_lat();
         area.contains(lon, lat)
     };
     let selected: Vec<TileId> = candidates.iter().copied().filter(inside).collect();
     if selected.is_empty() {
-        let [lon, lat] = candidates
-            .first()
-            .map_or([f64::NAN; 2], |tile| tile.lon_lat());
-        return Err(RasteriseError::NothingInArea {
-            candidates: candidates.len(),
-            lon,
-            lat,
-        });
+        let [lon, lat] = first.lon_lat();
+        return Err(RasteriseError::NothingInArea { candidates: candidates.len(), lon, lat });
     }
     Ok(selected)
 }
@@ -228,12 +223,8 @@ fn build_tile(
     let tile = source.rasterise(id);
     let statistics = tile.statistics;
     let verdict = judge(&statistics, &config.filter);
-    let candidate = |digest: Option<&Digest>| Candidate {
-        id,
-        statistics,
-        verdict,
-        digest: digest.cloned(),
-    };
+    let candidate =
+        |digest: Option<&Digest>| Candidate { id, statistics, verdict, digest: digest.cloned() };
     if verdict == Verdict::Kept {
         let bytes = tile_npz(id, &tile, config);
         output.finish_item(&key, Some((&file_name(id), &bytes)), candidate)
@@ -281,18 +272,8 @@ fn tile_npz(id: TileId, tile: &HeightGrid, config: &TilesConfig) -> Vec<u8> {
 }
 
 fn entry(candidate: Candidate) -> Option<TileEntry> {
-    let Candidate {
-        id,
-        statistics,
-        digest,
-        ..
-    } = candidate;
-    Some(TileEntry {
-        id,
-        file: file_name(id),
-        digest: digest?,
-        statistics,
-    })
+    let Candidate { id, statistics, digest, .. } = candidate;
+    Some(TileEntry { id, file: file_name(id), digest: digest?, statistics })
 }
 
 fn count_buildings(buildings: &[Building]) -> BuildingCounts {
@@ -315,11 +296,7 @@ fn count_buildings(buildings: &[Building]) -> BuildingCounts {
 fn count_problems(problems: &[Problem]) -> BTreeMap<Action, BTreeMap<Defect, u64>> {
     let mut counts: BTreeMap<Action, BTreeMap<Defect, u64>> = BTreeMap::new();
     for Problem { defect, .. } in problems {
-        *counts
-            .entry(defect.action())
-            .or_default()
-            .entry(*defect)
-            .or_default() += 1;
+        *counts.entry(defect.action()).or_default().entry(*defect).or_default() += 1;
     }
     counts
 }
@@ -338,46 +315,35 @@ fn tiles_csv(candidates: &[Candidate]) -> Vec<u8> {
         "cells_from_levels",
         "cells_from_default",
     ];
-    let rows = candidates.iter().map(
-        |Candidate {
-             id,
-             statistics,
-             verdict,
-             ..
-         }| {
-            let [lon, lat] = id.lon_lat();
-            let cells = statistics.built_cells;
-            [
-                id.to_string(),
-                format!("{lon:.7}"),
-                format!("{lat:.7}"),
-                verdict.name().to_owned(),
-                statistics.buildings.to_string(),
-                format!("{:.6}", statistics.built),
-                statistics.max_height_m.to_string(),
-                cells.height.to_string(),
-                cells.levels.to_string(),
-                cells.default.to_string(),
-            ]
-        },
-    );
-    csv.write_record(header)
-        .expect("writing to memory cannot fail");
+    let rows = candidates.iter().map(|Candidate { id, statistics, verdict, .. }| {
+        let [lon, lat] = id.lon_lat();
+        let cells = statistics.built_cells;
+        [
+            id.to_string(),
+            format!("{lon:.7}"),
+            format!("{lat:.7}"),
+            verdict.name().to_owned(),
+            statistics.buildings.to_string(),
+            format!("{:.6}", statistics.built),
+            statistics.max_height_m.to_string(),
+            cells.height.to_string(),
+            cells.levels.to_string(),
+            cells.default.to_string(),
+        ]
+    });
+    csv.write_record(header).expect("writing to memory cannot fail");
     for row in rows {
-        csv.write_record(row)
-            .expect("writing to memory cannot fail");
+        csv.write_record(row).expect("writing to memory cannot fail");
     }
     csv.into_inner().expect("writing to memory cannot fail")
 }
 
 fn problems_csv(problems: &[Problem]) -> Vec<u8> {
     let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.write_record(["object", "code", "action"])
-        .expect("writing to memory cannot fail");
+    csv.write_record(["object", "code", "action"]).expect("writing to memory cannot fail");
     for Problem { object, defect } in problems {
         let row = [&object.to_string(), defect.name(), defect.action().name()];
-        csv.write_record(row)
-            .expect("writing to memory cannot fail");
+        csv.write_record(row).expect("writing to memory cannot fail");
     }
     csv.into_inner().expect("writing to memory cannot fail")
 }

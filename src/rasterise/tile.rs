@@ -42,9 +42,7 @@ pub fn rasterise_tile(tile: TileId, grid: &GridConfig, buildings: &[&Building]) 
     let mut height_source = Array2::<u8>::zeros((cells, cells));
     let crop = grid.crop_offset_cells()..grid.crop_offset_cells() + grid.crop_cells();
     let heights = height_m.as_slice_mut().expect("a new array is contiguous");
-    let sources = height_source
-        .as_slice_mut()
-        .expect("a new array is contiguous");
+    let sources = height_source.as_slice_mut().expect("a new array is contiguous");
 
     let mut order: Vec<&Building> = buildings.to_vec();
     order.sort_unstable_by(|a, b| {
@@ -58,11 +56,7 @@ pub fn rasterise_tile(tile: TileId, grid: &GridConfig, buildings: &[&Building]) 
     let mut scanline = Scanline::default();
     let mut buildings_in_tile = 0;
     for building in order {
-        let Attributes {
-            height_m: top,
-            source,
-            ..
-        } = building.attributes;
+        let Attributes { height_m: top, source, .. } = building.attributes;
         let layer = layer(&building.attributes);
         let mut has_cells = false;
         for polygon in &building.footprint {
@@ -92,22 +86,14 @@ pub fn rasterise_tile(tile: TileId, grid: &GridConfig, buildings: &[&Building]) 
         }
     }
     let [_, height, levels, default] = by_source;
-    let built_cells = BuiltBySource {
-        height,
-        levels,
-        default,
-    };
+    let built_cells = BuiltBySource { height, levels, default };
     let statistics = TileStatistics {
         buildings: buildings_in_tile,
         built: built_cells.total() as f64 / (crop.len() * crop.len()) as f64,
         max_height_m: heights.iter().copied().fold(0.0, f32::max),
         built_cells,
     };
-    HeightGrid {
-        height_m,
-        height_source,
-        statistics,
-    }
+    HeightGrid { height_m, height_source, statistics }
 }
 
 #[cfg(test)]
@@ -116,13 +102,8 @@ mod tests {
     use crate::building::{HeightSource, ObjectId};
     use geo::{MultiPolygon, Rect, coord};
 
-    const GRID: GridConfig = GridConfig {
-        side_m: 40,
-        spacing_m: 20,
-        cell_m: 1.0,
-        crop_m: 20,
-        epsg: None,
-    };
+    const GRID: GridConfig =
+        GridConfig { side_m: 40, spacing_m: 20, cell_m: 1.0, crop_m: 20, epsg: None };
 
     fn tile() -> TileId {
         "utm10n_e500000_n4000000".parse().expect("an id")
@@ -133,22 +114,12 @@ mod tests {
         let center = coord! { x: 500_000.0 + x, y: 4_000_000.0 + y };
         let half = coord! { x: side / 2.0, y: side / 2.0 };
         let footprint = MultiPolygon(vec![Rect::new(center - half, center + half).to_polygon()]);
-        Building {
-            object: ObjectId::Way(id),
-            footprint,
-            attributes,
-        }
+        Building { object: ObjectId::Way(id), footprint, attributes }
     }
 
     fn with(kind: Kind, height_m: f32, elevated: bool) -> Attributes {
         let source = HeightSource::Height;
-        Attributes {
-            kind,
-            height_m,
-            source,
-            min_height_m: 0.0,
-            elevated,
-        }
+        Attributes { kind, height_m, source, min_height_m: 0.0, elevated }
     }
 
     /// The height at a place relative to the centre.
@@ -163,10 +134,7 @@ mod tests {
         let grid = rasterise_tile(tile(), &GRID, &[&low, &high]);
         assert_eq!((at(&grid, 0.5, 0.5), at(&grid, -4.5, 0.5)), (9.0, 5.0));
         assert_eq!(grid, rasterise_tile(tile(), &GRID, &[&high, &low]));
-        assert_eq!(
-            (grid.statistics.buildings, grid.statistics.max_height_m),
-            (2, 9.0)
-        );
+        assert_eq!((grid.statistics.buildings, grid.statistics.max_height_m), (2, 9.0));
         assert!((grid.statistics.built - 140.0 / 400.0).abs() < 1e-12);
     }
 

@@ -64,12 +64,7 @@ mod tests {
             file.write_all(b"new")?;
             Err(std::io::Error::other("power cut"))
         });
-        assert!(
-            failure
-                .expect_err("failed")
-                .to_string()
-                .contains("power cut")
-        );
+        assert!(failure.expect_err("failed").to_string().contains("power cut"));
         assert_eq!(std::fs::read(&path).expect("read"), b"old");
         assert_eq!(std::fs::read_dir(dir.path()).expect("listed").count(), 1);
     }

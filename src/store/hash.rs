@@ -31,10 +31,7 @@ impl fmt::Display for Digest {
 /// The digest of bytes in memory.
 #[must_use]
 pub fn sha256_bytes(bytes: &[u8]) -> Digest {
-    Digest {
-        bytes: bytes.len() as u64,
-        sha256: hexadecimal(&Sha256::digest(bytes)),
-    }
+    Digest { bytes: bytes.len() as u64, sha256: hexadecimal(&Sha256::digest(bytes)) }
 }
 
 /// The digest of a file, read in pieces.
@@ -46,14 +43,9 @@ pub fn sha256_file(path: &Path) -> Result<Digest, FileError> {
     let (mut hasher, mut bytes) = (Sha256::new(), 0);
     let mut buffer = vec![0; 1 << 18];
     loop {
-        let read = file
-            .read(&mut buffer)
-            .map_err(FileError::new("read", path))?;
+        let read = file.read(&mut buffer).map_err(FileError::new("read", path))?;
         if read == 0 {
-            return Ok(Digest {
-                bytes,
-                sha256: hexadecimal(&hasher.finalize()),
-            });
+            return Ok(Digest { bytes, sha256: hexadecimal(&hasher.finalize()) });
         }
         hasher.update(&buffer[..read]);
         bytes += read as u64;
@@ -62,12 +54,10 @@ pub fn sha256_file(path: &Path) -> Result<Digest, FileError> {
 
 fn hexadecimal(bytes: &[u8]) -> String {
     use fmt::Write;
-    bytes
-        .iter()
-        .fold(String::with_capacity(64), |mut text, byte| {
-            write!(text, "{byte:02x}").expect("writing to a string cannot fail");
-            text
-        })
+    bytes.iter().fold(String::with_capacity(64), |mut text, byte| {
+        write!(text, "{byte:02x}").expect("writing to a string cannot fail");
+        text
+    })
 }
 
 #[cfg(test)]
@@ -77,10 +67,7 @@ mod tests {
     #[test]
     fn known_answer_of_fips_180() {
         let abc = sha256_bytes(b"abc");
-        assert_eq!(
-            abc.sha256,
-            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-        );
+        assert_eq!(abc.sha256, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
         let dir = tempfile::tempdir().expect("a directory");
         let path = dir.path().join("abc");
         std::fs::write(&path, b"abc").expect("written");

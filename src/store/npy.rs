@@ -117,11 +117,7 @@ macro_rules! element {
             const DTYPE: DType = $dtype;
             fn decode(bytes: &[u8], big_endian: bool) -> Self {
                 let bytes = bytes.try_into().expect("chunks have the size of the type");
-                if big_endian {
-                    Self::from_be_bytes(bytes)
-                } else {
-                    Self::from_le_bytes(bytes)
-                }
+                if big_endian { Self::from_be_bytes(bytes) } else { Self::from_le_bytes(bytes) }
             }
         }
     };
@@ -140,17 +136,13 @@ pub fn read_npy(bytes: &[u8]) -> Result<Npy<'_>, NpyError> {
     if bytes.get(..6) != Some(MAGIC) {
         return Err(NpyError::Magic);
     }
-    let version = *bytes
-        .get(6)
-        .ok_or_else(|| damaged("ends after the magic bytes"))?;
+    let version = *bytes.get(6).ok_or_else(|| damaged("ends after the magic bytes"))?;
     let (length, start) = match (version, bytes.get(8..10), bytes.get(8..12)) {
         (1, Some(&[a, b]), _) => (usize::from(u16::from_le_bytes([a, b])), 10),
         (2 | 3, _, Some(&[a, b, c, d])) => (u32::from_le_bytes([a, b, c, d]) as usize, 12),
         (1..=3, ..) => return Err(damaged("ends within the header's length")),
         _ => {
-            return Err(NpyError::Header(format!(
-                "version {version}, expected 1, 2 or 3"
-            )));
+            return Err(NpyError::Header(format!("version {version}, expected 1, 2 or 3")));
         }
     };
     if length > MAX_HEADER {
@@ -158,9 +150,7 @@ pub fn read_npy(bytes: &[u8]) -> Result<Npy<'_>, NpyError> {
             "{length} bytes long, at most {MAX_HEADER} expected"
         )));
     }
-    let text = bytes
-        .get(start..start + length)
-        .ok_or_else(|| damaged("ends within the header"))?;
+    let text = bytes.get(start..start + length).ok_or_else(|| damaged("ends within the header"))?;
     let text = std::str::from_utf8(text).map_err(|_| damaged("not UTF-8"))?;
     let data = &bytes[start + length..];
 
@@ -179,26 +169,13 @@ pub fn read_npy(bytes: &[u8]) -> Result<Npy<'_>, NpyError> {
     let shape: Vec<usize> = shape.ok_or_else(|| damaged("no 'shape'"))?;
     let expected = shape
         .iter()
-        .try_fold(dtype.size() as u64, |product, &extent| {
-            product.checked_mul(extent as u64)
-        })
+        .try_fold(dtype.size() as u64, |product, &extent| product.checked_mul(extent as u64))
         .ok_or_else(|| NpyError::Header(format!("shape {shape:?} is larger than any memory")))?;
     if expected != data.len() as u64 {
         let (dtype, found) = (dtype.name().to_owned(), data.len() as u64);
-        return Err(NpyError::Length {
-            shape,
-            dtype,
-            expected,
-            found,
-        });
+        return Err(NpyError::Length { shape, dtype, expected, found });
     }
-    Ok(Npy {
-        dtype,
-        big_endian,
-        fortran_order,
-        shape,
-        data,
-    })
+    Ok(Npy { dtype, big_endian, fortran_order, shape, data })
 }
 
 impl Npy<'_> {
@@ -239,9 +216,7 @@ impl Npy<'_> {
     }
 
     fn decode<T: Element>(&self) -> impl Iterator<Item = T> {
-        self.data
-            .chunks_exact(T::DTYPE.size())
-            .map(|bytes| T::decode(bytes, self.big_endian))
+        self.data.chunks_exact(T::DTYPE.size()).map(|bytes| T::decode(bytes, self.big_endian))
     }
 }
 
@@ -249,10 +224,7 @@ impl Npy<'_> {
 #[must_use]
 pub fn npy_bytes<A: WritableElement + Clone, D: Dimension>(array: &Array<A, D>) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(128 + array.len() * size_of::<A>());
-    array
-        .as_standard_layout()
-        .write_npy(&mut bytes)
-        .expect("writing to memory cannot fail");
+    array.as_standard_layout().write_npy(&mut bytes).expect("writing to memory cannot fail");
     bytes
 }
 
@@ -289,9 +261,7 @@ fn dictionary(text: &str) -> Result<Vec<(&str, &str)>, NpyError> {
 
 fn unquote(text: &str) -> Option<&str> {
     let text = text.trim();
-    ['\'', '"']
-        .into_iter()
-        .find_map(|quote| text.strip_prefix(quote)?.strip_suffix(quote))
+    ['\'', '"'].into_iter().find_map(|quote| text.strip_prefix(quote)?.strip_suffix(quote))
 }
 
 fn parse_bool(value: &str) -> Result<bool, NpyError> {
@@ -304,17 +274,10 @@ fn parse_bool(value: &str) -> Result<bool, NpyError> {
 
 fn parse_shape(value: &str) -> Result<Vec<usize>, NpyError> {
     let damaged = || NpyError::Header(format!("shape is {value:?}"));
-    let inner = value
-        .strip_prefix('(')
-        .and_then(|text| text.strip_suffix(')'))
-        .ok_or_else(damaged)?;
-    let extents = inner
-        .split(',')
-        .map(str::trim)
-        .filter(|text| !text.is_empty());
-    extents
-        .map(|text| text.parse().map_err(|_| damaged()))
-        .collect()
+    let inner =
+        value.strip_prefix('(').and_then(|text| text.strip_suffix(')')).ok_or_else(damaged)?;
+    let extents = inner.split(',').map(str::trim).filter(|text| !text.is_empty());
+    extents.map(|text| text.parse().map_err(|_| damaged())).collect()
 }
 
 fn parse_descr(value: &str) -> Result<(DType, bool), NpyError> {
@@ -354,22 +317,13 @@ mod tests {
     fn what_ndarray_npy_writes_is_read_back() {
         let original = array![[1.0_f32, 2.0, 3.0], [4.0, 5.0, 6.0]];
         let bytes = npy_bytes(&original);
-        assert_eq!(
-            read_npy(&bytes).expect("valid").to_array2::<f32>(),
-            Ok(original)
-        );
+        assert_eq!(read_npy(&bytes).expect("valid").to_array2::<f32>(), Ok(original));
     }
 
     #[test]
     fn byte_order_and_fortran_order_are_honoured() {
-        let data: Vec<u8> = [1.0_f64, 2.0, 3.0, 4.0]
-            .iter()
-            .flat_map(|v| v.to_be_bytes())
-            .collect();
-        let bytes = file(
-            "{'descr': '>f8', 'fortran_order': True, 'shape': (2, 2), }",
-            &data,
-        );
+        let data: Vec<u8> = [1.0_f64, 2.0, 3.0, 4.0].iter().flat_map(|v| v.to_be_bytes()).collect();
+        let bytes = file("{'descr': '>f8', 'fortran_order': True, 'shape': (2, 2), }", &data);
         let read = read_npy(&bytes).expect("valid");
         assert_eq!(read.to_array2::<f64>(), Ok(array![[1.0, 3.0], [2.0, 4.0]]));
     }
@@ -382,25 +336,16 @@ mod tests {
         let error = |bytes: &[u8]| read_npy(bytes).expect_err("invalid");
         assert_eq!(error(b"PK\x03\x04"), NpyError::Magic);
         assert!(matches!(error(b"\x93NUMPY"), NpyError::Header(_)));
-        assert!(matches!(
-            error(b"\x93NUMPY\x09\x00\x00\x00"),
-            NpyError::Header(_)
-        ));
+        assert!(matches!(error(b"\x93NUMPY\x09\x00\x00\x00"), NpyError::Header(_)));
         assert!(matches!(error(&file("{", &[])), NpyError::Header(_)));
         assert_eq!(error(&file(&header("'|O'", "()"), &[])), NpyError::Pickled);
-        assert!(matches!(
-            error(&file(&header("'<c8'", "(1,)"), &[0; 8])),
-            NpyError::DType(_)
-        ));
+        assert!(matches!(error(&file(&header("'<c8'", "(1,)"), &[0; 8])), NpyError::DType(_)));
         assert!(matches!(
             error(&file(&header("[('a', '<f4')]", "(1,)"), &[0; 4])),
             NpyError::DType(_)
         ));
         let lie = header("'<f4'", "(100000, 100000)");
-        assert!(matches!(
-            error(&file(&lie, &[0; 4])),
-            NpyError::Length { .. }
-        ));
+        assert!(matches!(error(&file(&lie, &[0; 4])), NpyError::Length { .. }));
         let overflow = header("'<f4'", "(18446744073709551615, 2)");
         assert!(matches!(error(&file(&overflow, &[])), NpyError::Header(_)));
         let vector = file(&header("'<f4'", "(1,)"), &[0; 4]);

@@ -78,10 +78,7 @@ pub fn npz_bytes(members: &[(&str, Vec<u8>)], level: i64) -> Vec<u8> {
             .and_then(|()| archive.write_all(bytes).map_err(Into::into))
             .expect("writing to memory cannot fail");
     }
-    archive
-        .finish()
-        .expect("writing to memory cannot fail")
-        .into_inner()
+    archive.finish().expect("writing to memory cannot fail").into_inner()
 }
 
 /// An open archive.
@@ -101,9 +98,7 @@ impl NpzReader {
             .map_err(|error| NpzError::Archive(error.to_string()))?;
         if archive.len() > MAX_MEMBERS {
             let count = archive.len();
-            return Err(NpzError::Archive(format!(
-                "{count} members, at most {MAX_MEMBERS}"
-            )));
+            return Err(NpzError::Archive(format!("{count} members, at most {MAX_MEMBERS}")));
         }
         Ok(Self { archive, limit })
     }
@@ -112,12 +107,8 @@ impl NpzReader {
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         let member = |name: &str| name.strip_suffix(".npy").unwrap_or(name).to_owned();
-        let mut names: Vec<_> = self
-            .archive
-            .file_names()
-            .flatten()
-            .map(|name| member(&name))
-            .collect();
+        let mut names: Vec<_> =
+            self.archive.file_names().flatten().map(|name| member(&name)).collect();
         names.sort();
         names
     }
@@ -129,18 +120,11 @@ impl NpzReader {
     pub fn member(&mut self, name: &str) -> Result<Vec<u8>, NpzError> {
         let present = self.names();
         let limit = self.limit;
-        let too_large = |bytes| NpzError::TooLarge {
-            name: name.to_owned(),
-            bytes,
-            limit,
-        };
+        let too_large = |bytes| NpzError::TooLarge { name: name.to_owned(), bytes, limit };
         let member = match self.archive.by_name(&format!("{name}.npy")) {
             Ok(member) => member,
             Err(zip::result::ZipError::FileNotFound) => {
-                return Err(NpzError::Missing {
-                    name: name.to_owned(),
-                    present,
-                });
+                return Err(NpzError::Missing { name: name.to_owned(), present });
             }
             Err(error) => return Err(NpzError::Archive(error.to_string())),
         };
@@ -183,10 +167,7 @@ mod tests {
         assert_eq!(reader.names(), ["ones"]);
         let member = reader.member("ones").expect("there");
         assert_eq!(read_npy(&member).and_then(|npy| npy.to_array2()), Ok(ones));
-        assert!(matches!(
-            reader.member("twos"),
-            Err(NpzError::Missing { .. })
-        ));
+        assert!(matches!(reader.member("twos"), Err(NpzError::Missing { .. })));
     }
 
     #[test]
@@ -195,14 +176,8 @@ mod tests {
         let bytes = npz_bytes(&[("zeros", zeros)], 9);
         assert!(bytes.len() < 10_000);
         let mut reader = opened(&bytes, 100_000).expect("opens");
-        assert!(matches!(
-            reader.member("zeros"),
-            Err(NpzError::TooLarge { .. })
-        ));
-        assert!(matches!(
-            opened(b"no archive", 10),
-            Err(NpzError::Archive(_))
-        ));
+        assert!(matches!(reader.member("zeros"), Err(NpzError::TooLarge { .. })));
+        assert!(matches!(opened(b"no archive", 10), Err(NpzError::Archive(_))));
         let missing = NpzReader::open(Path::new("/nowhere/a.npz"), 1);
         assert!(matches!(missing, Err(NpzError::File(_))));
     }

@@ -46,6 +46,17 @@ pub enum OutputError {
         /// What would have been written.
         expected: String,
     },
+    /// The directory holds files of somebody else, which are never removed.
+    #[error(
+        "{} is no output of this stage: it holds {example}; \
+         choose another directory, or empty this one yourself", path.display()
+    )]
+    Foreign {
+        /// The directory.
+        path: PathBuf,
+        /// What is in it, for example.
+        example: String,
+    },
     /// Another process is writing there now.
     #[error("{} is being written by another run of holescout", path.display())]
     Busy {
@@ -58,13 +69,13 @@ impl HasFault for OutputError {
     fn fault(&self) -> Fault {
         match self {
             Self::File(error) => error.fault(),
-            Self::Occupied { .. } | Self::Busy { .. } => Fault::Input,
+            Self::Occupied { .. } | Self::Foreign { .. } | Self::Busy { .. } => Fault::Input,
         }
     }
 }
 
 /// What is built: the stage, and the SHA-256 over everything that its output depends on.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Plan {
     stage: String,
     fingerprint: String,
@@ -104,10 +115,7 @@ impl OutputDir {
         fingerprint: &str,
         overwrite: bool,
     ) -> Result<(), OutputError> {
-        let expected = Plan {
-            stage: stage.to_owned(),
-            fingerprint: fingerprint.to_owned(),
-        };
+        let expected = Plan { stage: stage.to_owned(), fingerprint: fingerprint.to_owned() };
         let occupied = |found: String| OutputError::Occupied {
             path: root.to_owned(),
             found,
@@ -117,13 +125,16 @@ impl OutputDir {
             Present::Nothing => Ok(()),
             Present::Ours(plan) if plan == expected => Ok(()),
             Present::Ours(plan) if plan.stage == expected.stage && overwrite => Ok(()),
-            Present::Ours(plan) if plan.stage == expected.stage => Err(occupied(format!(
-                "the {stage} of other inputs or another configuration"
-            ))),
-            Present::Ours(plan) => Err(occupied(format!("the {} of another stage", plan.stage))),
-            Present::Foreign(name) => Err(occupied(format!(
-                "files that holescout did not write ({name})"
-            ))),
+            Present::Ours(plan) if plan.stage == expected.stage => {
+                Err(occupied(format!("the {stage} of other inputs or another configuration")))
+            }
+            Present::Ours(plan) => Err(OutputError::Foreign {
+                path: root.to_owned(),
+                example: format!("{} of another stage", plan.stage),
+            }),
+            Present::Foreign(example) => {
+                Err(OutputError::Foreign { path: root.to_owned(), example })
+            }
         }
     }
 
@@ -139,39 +150,34 @@ impl OutputDir {
         overwrite: bool,
     ) -> Result<Self, OutputError> {
         Self::check(root, stage, fingerprint, overwrite)?;
-        let plan = Plan {
-            stage: stage.to_owned(),
-            fingerprint: fingerprint.to_owned(),
-        };
-        let resumes = read_journal(root).is_some_and(|(earlier, _)| earlier == plan);
-        if !resumes {
-            remove_output(root)?;
-        }
         std::fs::create_dir_all(root).map_err(FileError::new("create", root))?;
         let path = root.join(JOURNAL);
+        let in_journal = |action| FileError::new(action, &path);
         let mut journal = OpenOptions::new()
             .create(true)
             .append(true)
             .open(&path)
-            .map_err(FileError::new("create", &path))?;
-        if journal.try_lock().is_err() {
-            return Err(OutputError::Busy {
-                path: root.to_owned(),
-            });
+            .map_err(in_journal("create"))?;
+        if journal.try_lock().is_err() || !is_at(&journal, &path) {
+            return Err(OutputError::Busy { path: root.to_owned() });
         }
+        // Once more under the lock: another run may have been here in between.
+        Self::check(root, stage, fingerprint, overwrite)?;
+        let plan = Plan { stage: stage.to_owned(), fingerprint: fingerprint.to_owned() };
+        let (earlier_plan, lines) = read_journal(root).unwrap_or_default();
         let mut earlier = HashMap::new();
-        if resumes {
-            let lines = read_journal(root)
-                .map(|(_, lines)| lines)
-                .unwrap_or_default();
-            earlier.extend(lines.into_iter().map(|line| (line.key.clone(), line)));
+        if earlier_plan == plan {
             // A torn last line must not swallow the next one.
-            journal
-                .write_all(b"\n")
-                .map_err(FileError::new("write", &path))?;
+            journal.write_all(b"\n").map_err(in_journal("write"))?;
+            earlier.extend(lines.into_iter().map(|line| (line.key.clone(), line)));
         } else {
-            write_line(&mut journal, &plan).map_err(FileError::new("write", &path))?;
+            // What an interrupted build of other inputs wrote, as long as its journal tells.
+            let files = lines.into_iter().filter_map(|line| Some(line.file?.0));
+            remove_inside(root, files)?;
+            journal.set_len(0).map_err(in_journal("write"))?;
+            write_line(&mut journal, &plan).map_err(in_journal("write"))?;
         }
+        remove_finished(root)?;
         Ok(Self {
             root: root.to_owned(),
             journal: Mutex::new(journal),
@@ -208,15 +214,8 @@ impl OutputDir {
             Some((name, bytes)) => Some((name.to_owned(), self.write(name, bytes)?)),
         };
         let item = item(file.as_ref().map(|(_, digest)| digest));
-        let line = Line {
-            key: key.to_owned(),
-            file,
-            item,
-        };
-        let mut journal = self
-            .journal
-            .lock()
-            .expect("no writer panics while it holds the lock");
+        let line = Line { key: key.to_owned(), file, item };
+        let mut journal = self.journal.lock().expect("no writer panics while it holds the lock");
         write_line(&mut journal, &line)
             .map_err(FileError::new("write", &self.root.join(JOURNAL)))?;
         Ok(line.item)
@@ -244,13 +243,8 @@ impl OutputDir {
     pub fn complete(self, manifest: &[u8]) -> Result<Digest, FileError> {
         let digest = sha256_bytes(manifest);
         self.remember(MANIFEST, &digest);
-        let files = self
-            .files
-            .into_inner()
-            .expect("no writer panics while it holds the lock");
-        let lines = files
-            .iter()
-            .map(|(name, digest)| [&digest.sha256, "  ", name, "\n"].concat());
+        let files = self.files.into_inner().expect("no writer panics while it holds the lock");
+        let lines = files.iter().map(|(name, digest)| [&digest.sha256, "  ", name, "\n"].concat());
         let sums: String = lines.collect();
         remove_leftovers(&self.root, &files)?;
         write_atomic(&self.root.join(SUMS), sums.as_bytes())?;
@@ -261,10 +255,7 @@ impl OutputDir {
     }
 
     fn remember(&self, name: &str, digest: &Digest) {
-        let mut files = self
-            .files
-            .lock()
-            .expect("no writer panics while it holds the lock");
+        let mut files = self.files.lock().expect("no writer panics while it holds the lock");
         files.insert(name.to_owned(), digest.clone());
     }
 }
@@ -273,10 +264,7 @@ impl OutputDir {
 #[must_use]
 pub fn parse_sums(text: &str) -> Option<Vec<(&str, &str)>> {
     text.lines()
-        .map(|line| {
-            line.split_once("  ")
-                .filter(|(digest, _)| digest.len() == 64)
-        })
+        .map(|line| line.split_once("  ").filter(|(digest, _)| digest.len() == 64))
         .collect()
 }
 
@@ -287,10 +275,8 @@ enum Present {
 }
 
 fn present(root: &Path) -> Result<Present, FileError> {
-    match read_journal(root) {
-        Some((plan, _)) if plan.stage.is_empty() => return Ok(Present::Nothing),
-        Some((plan, _)) => return Ok(Present::Ours(plan)),
-        None => {}
+    if let Some((plan, _)) = read_journal(root).filter(|(plan, _)| *plan != Plan::default()) {
+        return Ok(Present::Ours(plan));
     }
     if let Ok(text) = std::fs::read(root.join(MANIFEST))
         && let Ok(manifest) = serde_json::from_slice::<AnyManifest>(&text)
@@ -303,12 +289,11 @@ fn present(root: &Path) -> Result<Present, FileError> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Present::Nothing),
         Err(error) => Err(FileError::new("list", root)(error)),
         Ok(entries) => {
-            // A run that was killed before its journal existed leaves at most temporaries.
-            let mut names = entries.flatten().map(|entry| entry.file_name());
-            let foreign = names.find(|name| !name.to_string_lossy().starts_with(TEMPORARY_PREFIX));
-            Ok(foreign.map_or(Present::Nothing, |name| {
-                Present::Foreign(name.to_string_lossy().into_owned())
-            }))
+            // A run that was killed right away leaves an empty journal at most.
+            let names = entries.flatten().map(|entry| entry.file_name());
+            let mut names = names.map(|name| name.to_string_lossy().into_owned());
+            let ours = |name: &str| name == JOURNAL || name.starts_with(TEMPORARY_PREFIX);
+            Ok(names.find(|name| !ours(name)).map_or(Present::Nothing, Present::Foreign))
         }
     }
 }
@@ -318,18 +303,10 @@ fn read_journal(root: &Path) -> Option<(Plan, Vec<Line<serde_json::Value>>)> {
     let mut lines = text.lines();
     let plan = match lines.next() {
         // Killed between creating the journal and its first line.
-        None => Plan {
-            stage: String::new(),
-            fingerprint: String::new(),
-        },
+        None => Plan::default(),
         Some(line) => serde_json::from_str(line).ok()?,
     };
-    Some((
-        plan,
-        lines
-            .filter_map(|line| serde_json::from_str(line).ok())
-            .collect(),
-    ))
+    Some((plan, lines.filter_map(|line| serde_json::from_str(line).ok()).collect()))
 }
 
 fn write_line(journal: &mut File, line: &impl Serialize) -> std::io::Result<()> {
@@ -338,22 +315,34 @@ fn write_line(journal: &mut File, line: &impl Serialize) -> std::io::Result<()> 
     journal.write_all(&bytes)
 }
 
-/// Removes what an output's own lists name: first the manifest, so that nobody takes the
-/// rest for whole.
-fn remove_output(root: &Path) -> Result<(), FileError> {
-    let mut names = vec![MANIFEST.to_owned()];
+/// Removes a finished output: the manifest first, so that nobody takes the rest for whole,
+/// and the list of its files last, so that an interrupted removal can go on.
+fn remove_finished(root: &Path) -> Result<(), FileError> {
+    remove_if_there(&root.join(MANIFEST))?;
     if let Ok(sums) = std::fs::read_to_string(root.join(SUMS)) {
         let listed = parse_sums(&sums).unwrap_or_default();
-        names.extend(listed.into_iter().map(|(_, name)| name.to_owned()));
-    }
-    if let Some((_, lines)) = read_journal(root) {
-        names.extend(lines.into_iter().filter_map(|line| Some(line.file?.0)));
-    }
-    names.extend([SUMS.to_owned(), JOURNAL.to_owned()]);
-    for name in names.iter().filter(|name| stays_inside(name)) {
-        remove_if_there(&root.join(name))?;
+        remove_inside(root, listed.into_iter().map(|(_, name)| name.to_owned()))?;
+        remove_if_there(&root.join(SUMS))?;
     }
     Ok(())
+}
+
+/// Removes files by names that come from a disk and must not lead out of their directory.
+fn remove_inside(root: &Path, names: impl Iterator<Item = String>) -> Result<(), FileError> {
+    let inside = |name: &String| {
+        Path::new(name).components().all(|part| matches!(part, std::path::Component::Normal(_)))
+    };
+    let mut names = names.filter(inside);
+    names.try_for_each(|name| remove_if_there(&root.join(name)))
+}
+
+/// Whether an open file is still the one at a path: its owner may have removed it.
+fn is_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    match (file.metadata(), path.metadata()) {
+        (Ok(open), Ok(there)) => (open.dev(), open.ino()) == (there.dev(), there.ino()),
+        _ => false,
+    }
 }
 
 /// Removes temporary files of killed runs, and items of the journal that the finished
@@ -361,37 +350,22 @@ fn remove_output(root: &Path) -> Result<(), FileError> {
 fn remove_leftovers(root: &Path, files: &BTreeMap<String, Digest>) -> Result<(), FileError> {
     if let Some((_, lines)) = read_journal(root) {
         let journaled = lines.into_iter().filter_map(|line| Some(line.file?.0));
-        for name in journaled.filter(|name| !files.contains_key(name) && stays_inside(name)) {
-            remove_if_there(&root.join(name))?;
-        }
+        remove_inside(root, journaled.filter(|name| !files.contains_key(name)))?;
     }
-    let mut directories: Vec<_> = files
-        .keys()
-        .filter_map(|name| root.join(name).parent().map(Path::to_owned))
-        .collect();
+    let mut directories: Vec<_> =
+        files.keys().filter_map(|name| root.join(name).parent().map(Path::to_owned)).collect();
     directories.push(root.to_owned());
     directories.sort();
     directories.dedup();
     for directory in directories {
         let entries = std::fs::read_dir(&directory).map_err(FileError::new("list", &directory))?;
         for entry in entries.flatten() {
-            if entry
-                .file_name()
-                .to_string_lossy()
-                .starts_with(TEMPORARY_PREFIX)
-            {
+            if entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX) {
                 remove_if_there(&entry.path())?;
             }
         }
     }
     Ok(())
-}
-
-/// A list of files comes from a disk: it must not lead out of its directory.
-fn stays_inside(name: &str) -> bool {
-    Path::new(name)
-        .components()
-        .all(|part| matches!(part, std::path::Component::Normal(_)))
 }
 
 fn remove_if_there(path: &Path) -> Result<(), FileError> {
@@ -415,9 +389,7 @@ mod tests {
 
     fn fill(output: &OutputDir) {
         let item = |_: Option<&Digest>| 7;
-        output
-            .finish_item("a", Some(("a.bin", b"A")), item)
-            .expect("written");
+        output.finish_item("a", Some(("a.bin", b"A")), item).expect("written");
     }
 
     #[test]
@@ -455,13 +427,7 @@ mod tests {
         output.complete(MANIFEST_TEXT).expect("completed");
         let mut names: Vec<_> = std::fs::read_dir(dir.path())
             .expect("listed")
-            .map(|entry| {
-                entry
-                    .expect("an entry")
-                    .file_name()
-                    .into_string()
-                    .expect("UTF-8")
-            })
+            .map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8"))
             .collect();
         names.sort();
         assert_eq!(names, [SUMS, "a.bin", MANIFEST]);
@@ -479,7 +445,7 @@ mod tests {
         assert!(refused.to_string().contains("--overwrite"), "{refused}");
         assert!(dir.path().join("a.bin").exists());
         let stage = OutputDir::begin(dir.path(), "others", "abc", true).expect_err("other stage");
-        assert!(matches!(stage, OutputError::Occupied { .. }));
+        assert!(matches!(stage, OutputError::Foreign { .. }));
         drop(begin(dir.path(), "xyz", true).expect("overwritten"));
         assert!(!dir.path().join("a.bin").exists());
 

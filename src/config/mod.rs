@@ -1,0 +1,133 @@
+//! The configuration: one type a section of the TOML file, with the defaults.
+//!
+//! Plain data and its validation. It sits low in the import order because every
+//! manifest records the sections that made it. Unknown keys are errors.
+
+mod dataset;
+mod tiles;
+
+pub use dataset::{
+    HeightDownsampling, RsrpConfig, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
+};
+pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A value of the configuration that cannot be used.
+#[derive(Debug, thiserror::Error, PartialEq)]
+#[error("configuration: {key} is {found}, expected {expected}")]
+pub struct ConfigError {
+    /// The key, as `section.key`.
+    pub key: &'static str,
+    /// What was given.
+    pub found: String,
+    /// What is possible.
+    pub expected: String,
+}
+
+impl crate::error::HasFault for ConfigError {
+    fn fault(&self) -> crate::error::Fault {
+        crate::error::Fault::Input
+    }
+}
+
+fn demand(
+    holds: bool,
+    key: &'static str,
+    found: impl std::fmt::Display,
+    expected: impl std::fmt::Display,
+) -> Result<(), ConfigError> {
+    if holds {
+        Ok(())
+    } else {
+        Err(ConfigError { key, found: found.to_string(), expected: expected.to_string() })
+    }
+}
+
+/// All sections.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Tiles and their lattice.
+    pub grid: GridConfig,
+    /// Which buildings count, and how high they are.
+    pub buildings: BuildingsConfig,
+    /// Which tiles are urban enough.
+    pub filter: FilterConfig,
+    /// Import of radio maps.
+    pub rsrp: RsrpConfig,
+    /// Records and shards.
+    pub shard: ShardConfig,
+    /// Train, validation and test.
+    pub split: SplitConfig,
+}
+
+impl Config {
+    /// Checks every value and every relation between values.
+    ///
+    /// # Errors
+    /// The first [`ConfigError`] found, in the order of the sections.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.grid.validate()?;
+        self.buildings.validate()?;
+        self.filter.validate()?;
+        self.rsrp.validate()?;
+        self.shard.validate(&self.grid)?;
+        self.split.validate()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::Dbm;
+
+    #[test]
+    fn the_defaults_are_valid_and_give_the_papers_grid() {
+        let config = Config::default();
+        config.validate().expect("defaults are valid");
+        assert_eq!(config.grid.side_cells(), 1080);
+        assert_eq!(config.grid.crop_offset_cells(), 298);
+        assert_eq!(config.shard.record_cells(&config.grid), 121);
+    }
+
+    #[test]
+    fn unknown_keys_are_refused() {
+        let error = toml::from_str::<Config>("[grid]\nspacing = 5\n").expect_err("no such key");
+        assert!(error.to_string().contains("spacing"), "{error}");
+    }
+
+    #[test]
+    fn impossible_values_are_named() {
+        let mut broken: Vec<Config> = vec![Config::default(); 9];
+        broken[0].grid.crop_m = 2000;
+        broken[1].grid.cell_m = 0.0;
+        broken[2].shard.downsample = 5;
+        broken[3].split.test = 0.95;
+        broken[4].filter.min_built = -0.1;
+        broken[5].rsrp.floor_dbm = Dbm(0.0);
+        broken[6].buildings.default_heights_m.insert("house".into(), f64::NAN);
+        broken[7].grid.crop_m = 483;
+        broken[8].split.areas.push(SplitArea {
+            name: "empty".into(),
+            split: Split::Test,
+            bbox: [1.0, 0.0, 0.0, 1.0],
+        });
+        let keys = broken.iter().map(|config| config.validate().expect_err("invalid").key);
+        assert_eq!(
+            keys.collect::<Vec<_>>(),
+            [
+                "grid.crop_m",
+                "grid.cell_m",
+                "shard.downsample",
+                "split.test",
+                "filter.min_built",
+                "rsrp.floor_dbm",
+                "buildings.default_heights_m",
+                "grid.crop_m",
+                "split.areas"
+            ]
+        );
+    }
+}
