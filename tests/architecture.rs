@@ -348,7 +348,7 @@ fn real_imports_are_found() {
     for module in ["osm", "store", "manifest", "grid"] {
         assert!(stage.iter().any(|import| import == module), "{module} in {stage:?}");
     }
-    let config = imports(source("src/config.rs"));
+    let config = imports(source("src/config/mod.rs"));
     assert!(config.iter().any(|import| import == "error"), "{config:?}");
 }
 

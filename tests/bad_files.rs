@@ -394,16 +394,18 @@ fn a_directory_that_another_run_is_filling() {
     }
 }
 
-/// An overwriting run that was killed while it removed the old output.
+/// Without its manifest nothing tells whose a directory is, so nothing in it is removed.
 #[test]
-fn an_output_that_has_lost_its_manifest_can_be_replaced() {
+fn an_output_that_has_lost_its_manifest_is_not_touched() {
     let scratch = scratch();
     let out = scratch.path().join("tiles");
     let args = rasterise(&helsinki(), &out);
     run(&args).succeeded();
-    let before = files(&out);
     std::fs::remove_file(out.join("manifest.json")).expect("it was there");
-    run(args.into_iter().chain(args!["--overwrite"])).succeeded();
+    let before = files(&out);
+    let refused = run(args.into_iter().chain(args!["--overwrite"]));
+    assert_eq!(refused.code, Some(INVALID_INPUT), "{refused:?}");
+    assert!(refused.stderr.contains("empty this one yourself"), "{refused:?}");
     let differing = differences(&files(&out), &before);
     assert!(differing.is_empty(), "{differing:?}");
 }
