@@ -5,7 +5,7 @@ compressed .npz, on all cores. The peer is osmium (reading, multipolygons), PROJ
 with NumPy, in one process a core: the libraries whose results the tests compare with. A second peer only
 reads: pyrosm, the usual way from a PBF to a table of buildings.
 
-Runs alternate; ratios are of medians. Run by `make bench`; figures go to benches/RESULTS.md.
+Runs alternate; ratios are of medians. Run by `make bench`; options of `rasterise` may follow; figures go to benches/RESULTS.md.
 """
 
 import json
@@ -79,8 +79,7 @@ def seconds(work: Callable[[], None]) -> float:
 
 def main() -> None:
     extract = Path(os.environ["HOLESCOUT_DATA"]) / "osm/sanjose_buildings.osm.pbf"
-    # Central San Jose; without a box the peer takes a quarter of an hour a run.
-    area = ["--bbox", "-121.95,37.30,-121.85,37.37"]
+    area = sys.argv[1:]  # --bbox W,S,E,N for a quicker comparison
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run_holescout(extract, folder, area)

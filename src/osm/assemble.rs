@@ -35,8 +35,8 @@ pub(super) struct Projector<'a> {
 impl Projector<'_> {
     fn ring(&self, refs: &[i64], defects: &mut Vec<Defect>) -> Result<LineString<f64>, Defect> {
         let mut points = Vec::with_capacity(refs.len());
-        for &id in refs {
-            let [lon, lat] = self.nodes.place(id).ok_or(Defect::MissingNodes)?;
+        for place in self.nodes.places(refs) {
+            let [lon, lat] = place.ok_or(Defect::MissingNodes)?;
             let [x, y] = self.utm.forward(lon, lat).ok_or(Defect::NotProjectable)?;
             points.push(Coord { x, y });
         }

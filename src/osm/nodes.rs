@@ -58,10 +58,21 @@ impl NodeTable {
         }
     }
 
-    /// Longitude and latitude of a node, in degrees, if the extract has it.
-    pub(super) fn place(&self, id: i64) -> Option<[f64; 2]> {
-        let place = self.places[self.ids.binary_search(&id).ok()?];
-        (place != UNKNOWN).then(|| degrees(place))
+    /// Longitude and latitude of nodes, in degrees, each if the extract has it.
+    ///
+    /// Ids of a way's nodes mostly follow each other, so the entry after the last one is
+    /// tried before a search through the table.
+    pub(super) fn places(&self, ids: &[i64]) -> impl Iterator<Item = Option<[f64; 2]>> {
+        let mut next = 0;
+        ids.iter().map(move |id| {
+            let index = match self.ids.get(next) {
+                Some(candidate) if candidate == id => next,
+                _ => self.ids.binary_search(id).ok()?,
+            };
+            next = index + 1;
+            let place = self.places[index];
+            (place != UNKNOWN).then(|| degrees(place))
+        })
     }
 
     /// Middle of the bounding box of all known nodes, in degrees.
