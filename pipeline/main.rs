@@ -54,6 +54,8 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
 fn print(report: &Report, json: bool) -> Result<(), Failure> {
     let mut stdout = std::io::stdout().lock();
     let text = if json { format!("{}\n", report.json) } else { report.text.clone() };
-    stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()).map_err(Failure::running)?;
-    report.outcome()
+    let printed = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
+    // What was found out counts also when nobody reads it.
+    report.outcome()?;
+    printed.map_err(Failure::running)
 }

@@ -25,6 +25,17 @@ pub(crate) fn run(args: &SchemasArgs) -> Result<Report, Failure> {
             .filter(|(name, text)| std::fs::read(args.out.join(name)).ok().as_ref() != Some(text))
             .map(|(name, _)| name.as_str())
             .collect();
+        let known = |name: &str| schemas.iter().any(|(known, _)| known == name);
+        let entries = std::fs::read_dir(&args.out).map_err(FileError::new("list", &args.out))?;
+        let names = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned());
+        let strange: Vec<String> = names.filter(|name| !known(name)).collect();
+        if !strange.is_empty() {
+            let strange = strange.join(", ");
+            let directory = args.out.display();
+            return Err(Failure::input(format!(
+                "{directory}: no schemas of this program: {strange}"
+            )));
+        }
         if !stale.is_empty() {
             let stale = stale.join(", ");
             return Err(Failure::input(format!(

@@ -10,8 +10,9 @@ use crate::units::Dbm;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RsrpConfig {
-    /// What cells without a path hold, in dBm. The mask tells them apart, so a trainer
-    /// may choose another floor without importing again.
+    /// What cells without a path hold, in dBm. It is the mask that tells them apart: levels
+    /// of weakly reached cells may be lower (diffraction goes down to -240 dBm), and a
+    /// trainer may choose another floor without importing again.
     pub floor_dbm: Dbm,
     /// Larger files are refused before anything is allocated, in MiB of decoded array.
     pub max_array_mib: u32,
@@ -30,7 +31,7 @@ impl RsrpConfig {
             (-300.0..=-100.0).contains(&floor),
             "rsrp.floor_dbm",
             floor,
-            "a level below every real one, -300 to -100 dBm",
+            "a level at which nothing is received, -300 to -100 dBm",
         )?;
         demand(
             (1..=16_384).contains(&self.max_array_mib),

@@ -36,6 +36,7 @@ pub struct Provenance {
 #[serde(deny_unknown_fields)]
 pub struct Record {
     /// Always `record.v1`.
+    #[schemars(extend("const" = "record.v1"))]
     pub schema: String,
     /// The tile.
     pub id: TileId,
@@ -50,11 +51,13 @@ pub struct Record {
     /// Side of a cell, in metres.
     pub cell_m: f64,
     /// Always `north_first`: row 0 is the northernmost, column 0 the westernmost.
+    #[schemars(extend("const" = "north_first"))]
     pub row_order: String,
     /// `.npy`, float32 `[n, n]`: height of the highest building in metres, 0 where there is none.
     #[schemars(with = "Vec<u8>")]
     pub height_m: ByteBuf,
-    /// `.npy`, float32 `[n, n]`: RSRP in dBm per resource element.
+    /// `.npy`, float32 `[n, n]`: RSRP in dBm per resource element. A building cell that is partly
+    /// outdoors holds the level there, a wholly covered one the floor.
     #[schemars(with = "Vec<u8>")]
     pub rsrp_dbm: ByteBuf,
     /// `.npy`, uint8 `[n, n]`: 0 outdoor reached, 1 building, 2 outdoor unreached.

@@ -47,16 +47,20 @@ pub(super) fn add(sum: &mut Option<SplitStatistics>, more: &SplitStatistics) {
         *sum = Some(more.clone());
         return;
     };
-    sum.records += more.records;
-    sum.cells.reached += more.cells.reached;
-    sum.cells.building += more.cells.building;
-    sum.cells.unreached += more.cells.unreached;
-    sum.holes += more.holes;
-    sum.built_cells.height += more.built_cells.height;
-    sum.built_cells.levels += more.built_cells.levels;
-    sum.built_cells.default += more.built_cells.default;
-    for (total, count) in sum.rsrp.counts.iter_mut().zip(&more.rsrp.counts) {
-        *total += count;
+    let pairs = [
+        (&mut sum.records, more.records),
+        (&mut sum.cells.reached, more.cells.reached),
+        (&mut sum.cells.building, more.cells.building),
+        (&mut sum.cells.unreached, more.cells.unreached),
+        (&mut sum.holes, more.holes),
+        (&mut sum.built_cells.height, more.built_cells.height),
+        (&mut sum.built_cells.levels, more.built_cells.levels),
+        (&mut sum.built_cells.default, more.built_cells.default),
+    ];
+    let bins = sum.rsrp.counts.iter_mut().zip(more.rsrp.counts.iter().copied());
+    for (total, count) in pairs.into_iter().chain(bins) {
+        // Counts in a forged record must not end the verification of the others.
+        *total = total.saturating_add(count);
     }
 }
 

@@ -11,11 +11,11 @@ use rayon::prelude::*;
 use super::read::ShardReader;
 use super::record::Record;
 use super::statistics;
-use crate::config::Split;
+use crate::config::{Config, Split};
 use crate::grid::TileId;
 use crate::manifest::{
-    DatasetManifest, ManifestError, RsrpFile, RsrpManifest, ShardEntry, SplitStatistics, TileFile,
-    TilesManifest, load,
+    DatasetConfig, DatasetManifest, ManifestError, RsrpFile, RsrpManifest, ShardEntry,
+    SplitStatistics, TileFile, TilesManifest, load,
 };
 use crate::progress::Progress;
 use crate::store::{MANIFEST, SUMS, parse_sums, sha256_file};
@@ -228,6 +228,9 @@ fn check_dataset(
             ..failure(file, format!("frame {frame} is not in the manifest's index"))
         });
     }
+    if let Err(reason) = check_config(manifest) {
+        failures.push(failure(MANIFEST, reason));
+    }
     let all_read = read.iter().all(|shard| shard.failures.is_empty());
     let sums: BTreeMap<Split, SplitStatistics> =
         sums.into_iter().filter_map(|(split, sum)| Some((split, sum?))).collect();
@@ -287,6 +290,17 @@ fn read_shard(
     read
 }
 
+/// The configuration decides what counts as apart, so it must be sound and that of the records.
+fn check_config(manifest: &DatasetManifest) -> Result<(), String> {
+    let DatasetConfig { grid, buildings, filter, rsrp, shard, split } = manifest.config.clone();
+    let config = Config { grid, buildings, filter, rsrp, shard, split };
+    config.validate().map_err(|error| error.to_string())?;
+    let (cells, cell_m) =
+        (config.shard.record_cells(&config.grid), config.shard.cell_m(&config.grid));
+    let same = cells == manifest.cells as usize && cell_m.to_bits() == manifest.cell_m.to_bits();
+    demand(Ok(same), "cells and cell_m are not those of its configuration")
+}
+
 /// A record's values, and its agreement with the manifest.
 fn check_record(
     record: &Record,
@@ -303,7 +317,10 @@ fn check_record(
     same(record.floor_dbm == manifest.config.rsrp.floor_dbm, "floor_dbm")?;
     let flight_height = manifest.config.buildings.flight_height_m;
     same(record.flight_height_m.to_bits() == flight_height.to_bits(), "flight_height_m")?;
-    demand(Ok(record.center_m == record.id.center()), "center_m differs from the id's")?;
+    let at_center =
+        record.center_m == record.id.center() && record.center_lon_lat == record.id.lon_lat();
+    demand(Ok(at_center), "center_m or center_lon_lat differs from the id's")?;
+    demand(Ok(record.row_order == "north_first"), "row_order is not north_first")?;
     Ok(statistics::statistics_of(record, &grids))
 }
 

@@ -108,6 +108,7 @@ pub struct Dropped {
 #[serde(deny_unknown_fields)]
 pub struct DatasetManifest {
     /// Always `dataset.v1`.
+    #[schemars(extend("const" = "dataset.v1"))]
     pub schema: String,
     /// SHA-256 over all that the output depends on.
     pub fingerprint: String,

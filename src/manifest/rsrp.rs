@@ -101,6 +101,7 @@ pub struct SourceMap {
 #[serde(deny_unknown_fields)]
 pub struct RsrpMeta {
     /// Always `rsrp_map.v1`.
+    #[schemars(extend("const" = "rsrp_map.v1"))]
     pub schema: String,
     /// The tile.
     pub id: TileId,
@@ -113,6 +114,7 @@ pub struct RsrpMeta {
     /// Cells along a side.
     pub cells: u32,
     /// Always `north_first`: row 0 is the northernmost, column 0 the westernmost.
+    #[schemars(extend("const" = "north_first"))]
     pub row_order: String,
     /// What cells without a path hold, in dBm.
     pub floor_dbm: Dbm,
@@ -180,6 +182,7 @@ pub struct RadioCount {
 #[serde(deny_unknown_fields)]
 pub struct RsrpManifest {
     /// Always `rsrp.v1`.
+    #[schemars(extend("const" = "rsrp.v1"))]
     pub schema: String,
     /// SHA-256 over all that the output depends on.
     pub fingerprint: String,

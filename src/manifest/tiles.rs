@@ -120,6 +120,7 @@ pub struct TilesConfig {
 #[serde(deny_unknown_fields)]
 pub struct TilesManifest {
     /// Always `tiles.v1`.
+    #[schemars(extend("const" = "tiles.v1"))]
     pub schema: String,
     /// SHA-256 over all that the output depends on.
     pub fingerprint: String,
@@ -158,6 +159,7 @@ impl TilesManifest {
 #[serde(deny_unknown_fields)]
 pub struct TileMeta {
     /// Always `tile.v1`.
+    #[schemars(extend("const" = "tile.v1"))]
     pub schema: String,
     /// The tile.
     pub id: TileId,
@@ -174,6 +176,7 @@ pub struct TileMeta {
     /// Side of the central window, in metres.
     pub crop_m: u32,
     /// Always `north_first`: row 0 is the northernmost, column 0 the westernmost.
+    #[schemars(extend("const" = "north_first"))]
     pub row_order: String,
     /// Licence, as an SPDX identifier.
     pub licence: String,

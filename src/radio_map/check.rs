@@ -14,6 +14,8 @@ use crate::store::DType;
 const CENTER_TOLERANCE_M: f64 = 0.01;
 /// Lengths are taken for whole multiples within this relative error.
 const WHOLE_TOLERANCE: f64 = 1e-9;
+/// Weaker levels are no result of a solver, in dBm; weak diffraction goes down to -240 dBm.
+const LEAST_RSRP_DBM: f64 = -300.0;
 /// A value that more cells share is suspected to be a floor: at least this many ...
 const PILE_CELLS: usize = 50;
 /// ... and this share of all cells ...
@@ -115,7 +117,7 @@ pub(super) fn no_path(metadata: &RadioMapMetadata, dtype: DType) -> impl Fn(f64)
     let stored = match dtype {
         DType::Float16 => half::f16::from_f64(declared).to_f64(),
         DType::Float32 => f64::from(declared as f32),
-        DType::Float64 | DType::UInt8 => declared,
+        _ => declared,
     };
     move |value| value == stored || (value.is_nan() && stored.is_nan())
 }
@@ -139,7 +141,7 @@ pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(),
     }
     let infinite = present().filter(|value| value.is_infinite()).count();
     if infinite > 0 {
-        return undeclared(RejectionCode::InfinityUndeclared, "an infinity", infinite);
+        return undeclared(RejectionCode::InfinityUndeclared, "\"-inf\"", infinite);
     }
     if map.kind.is_linear() {
         let zeros = present().filter(|&value| value == 0.0).count();
@@ -147,9 +149,10 @@ pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(),
             return undeclared(RejectionCode::FloorUndeclared, "0", zeros);
         }
     }
+    let plausible = LEAST_RSRP_DBM..power_per_re(metadata).0;
     let impossible = |value: f64| {
         (map.kind.is_linear() && value < 0.0)
-            || to_rsrp(value, map.kind, metadata).0 >= power_per_re(metadata).0
+            || !plausible.contains(&to_rsrp(value, map.kind, metadata).0)
     };
     let wrong: Vec<f64> = present().filter(|&value| impossible(value)).collect();
     if let Some(example) = wrong.first() {
@@ -159,6 +162,7 @@ pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(),
             ValueKind::PathLossDb => "path_loss_db above 0 dB".to_owned(),
             kind => format!("{} below the transmit power", kind.name()),
         };
+        let expected = format!("{expected}, and RSRP above {LEAST_RSRP_DBM} dBm");
         return Err(Rejection::new(
             RejectionCode::ValueOutOfRange,
             expected,

@@ -49,15 +49,15 @@ pub fn load_metadata(path: &Path, limit: u64) -> Result<RadioMapMetadata, Reject
             }
             let member = archive.member(METADATA).map_err(|error| of_npz(&error))?;
             let npy = read_npy(&member).map_err(|error| of_npy(&error))?;
-            let bytes = npy.as_bytes().ok_or_else(|| {
+            let bytes = npy.text().ok_or_else(|| {
                 Rejection::new(
                     RejectionCode::InvalidMetadata,
-                    "meta_json as an array of uint8",
+                    "meta_json as an array of uint8, or a string",
                     npy.dtype.name(),
                     "save it with np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)",
                 )
             })?;
-            RadioMapMetadata::parse(bytes)
+            RadioMapMetadata::parse(&bytes)
         }
         "npy" => {
             refuse_pickles(path, limit)?;
@@ -155,7 +155,7 @@ fn of_npy(error: &NpyError) -> Rejection {
     }
 }
 
-fn unreadable(error: &impl ToString) -> Rejection {
+pub(super) fn unreadable(error: &impl ToString) -> Rejection {
     let (expected, mend) = ("a readable file", "check the file's permissions");
     Rejection::new(RejectionCode::Unreadable, expected, error.to_string(), mend)
 }
@@ -235,7 +235,9 @@ fn check_type(dtype: DType, kind: ValueKind) -> Result<(), Rejection> {
         Err(Rejection::new(RejectionCode::UnsupportedType, expected, found, mend))
     };
     match dtype {
-        DType::UInt8 => reject("floating-point values", "save the solver's array, not an image"),
+        DType::UInt8 | DType::Bytes(_) | DType::Unicode(_) => {
+            reject("floating-point values", "save the solver's array, not an image or text")
+        }
         DType::Float16 if kind.is_linear() => reject(
             "float32 or float64: float16 rounds nearly all linear gains to zero",
             "save it as float32, or in dB",
@@ -249,7 +251,7 @@ fn matrix(npy: &Npy<'_>) -> Result<Array2<f64>, Rejection> {
     let (rows, columns) = match npy.shape[..] {
         [rows, columns] | [1, rows, columns] => (rows, columns),
         [n, rows, columns] if rows == columns => return Err(several(n, &npy.shape)),
-        [rows, columns, n] if rows == columns => return Err(several(n, &npy.shape)),
+        [rows, columns, n] if rows == columns && n > 1 => return Err(several(n, &npy.shape)),
         _ => return Err(wrong_shape(&npy.shape)),
     };
     if rows != columns || rows == 0 {

@@ -121,8 +121,10 @@ pub struct RadioMapMetadata {
     /// The solver and its version.
     pub sionna_version: String,
     /// Rays for each transmitter.
+    #[serde(deserialize_with = "whole")]
     pub samples_per_tx: u64,
     /// Most interactions of a path.
+    #[serde(deserialize_with = "whole")]
     pub max_depth: u32,
     /// Whether paths go through walls.
     pub refraction: bool,
@@ -137,6 +139,23 @@ pub struct RadioMapMetadata {
     /// SHA-256 of the extract that the scene was made from.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub osm_sha256: Option<String>,
+}
+
+/// A whole number, also if it is written as `3e7` or `5.0`, as Python does.
+fn whole<'de, T, D>(deserializer: D) -> Result<T, D::Error>
+where
+    T: TryFrom<u64>,
+    D: serde::Deserializer<'de>,
+{
+    /// The largest float64 below which every whole number is one.
+    const EXACT: f64 = (1_u64 << 53) as f64;
+    let number = serde_json::Number::deserialize(deserializer)?;
+    let from_float = || {
+        let float = number.as_f64().filter(|n| n.fract() == 0.0 && (0.0..EXACT).contains(n));
+        float.map(|float| float as u64)
+    };
+    let whole = number.as_u64().or_else(from_float).and_then(|number| T::try_from(number).ok());
+    whole.ok_or_else(|| serde::de::Error::custom(format!("{number} is no whole number in range")))
 }
 
 /// The keys that must be there, for one message about all that are missing.
@@ -191,7 +210,7 @@ impl RadioMapMetadata {
                 "add them to meta_json, or to the .json beside the .npy",
             ));
         }
-        let metadata: Self = serde_json::from_value(value).map_err(|error| {
+        let metadata: Self = serde_path_to_error::deserialize(value).map_err(|error| {
             invalid(
                 "the types of schema radio_map.v1",
                 error.to_string(),

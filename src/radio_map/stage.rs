@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::align::{AlignedMap, align};
 use super::check;
 use super::convert::power_per_re;
-use super::load::{list, load_metadata, load_values};
+use super::load::{list, load_metadata, load_values, unreadable};
 use super::metadata::RadioMapMetadata;
 use super::rejection::{Rejection, RejectionCode};
 use crate::building::HeightSource;
@@ -88,7 +88,9 @@ pub struct ImportJob<'a> {
 struct Source {
     path: PathBuf,
     name: String,
-    digest: Digest,
+    digest: Result<Digest, Rejection>,
+    /// Of the `.json` beside an `.npy`: other metadata, another map.
+    sidecar: Option<Digest>,
 }
 
 /// What became of a file: what the journal remembers.
@@ -124,10 +126,13 @@ pub fn import_maps(
     if paths.is_empty() {
         return Err(ImportError::NoMaps { directory: job.maps.to_owned() });
     }
-    let sources = paths.into_par_iter().map(source).collect::<Result<Vec<_>, _>>()?;
+    let sources: Vec<Source> = paths.into_par_iter().map(source).collect();
     let config = &job.config.rsrp;
     let record_cell_m = job.config.shard.cell_m(&manifest.config.grid);
-    let inputs: Vec<_> = sources.iter().map(|source| (&source.name, &source.digest)).collect();
+    let inputs: Vec<_> = sources
+        .iter()
+        .map(|source| (&source.name, source.digest.as_ref().ok(), &source.sidecar))
+        .collect();
     let fingerprint = fingerprint(&(
         RsrpManifest::SCHEMA,
         config,
@@ -154,16 +159,12 @@ pub fn import_maps(
     Ok(manifest)
 }
 
-fn source(path: PathBuf) -> Result<Source, FileError> {
+fn source(path: PathBuf) -> Source {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    // Metadata beside an .npy belong to it: other metadata, another map.
-    let mut digest = sha256_file(&path)?;
-    let sidecar = path.with_extension("json");
-    if path.extension().is_some_and(|extension| extension == "npy") && sidecar.is_file() {
-        let both = [digest.sha256.as_str(), &sha256_file(&sidecar)?.sha256].concat();
-        digest.sha256 = crate::store::sha256_bytes(both.as_bytes()).sha256;
-    }
-    Ok(Source { path, name, digest })
+    let digest = sha256_file(&path).map_err(|error| unreadable(&error));
+    let is_npy = path.extension().is_some_and(|extension| extension == "npy");
+    let sidecar = is_npy.then(|| sha256_file(&path.with_extension("json")).ok()).flatten();
+    Source { path, name, digest, sidecar }
 }
 
 /// Metadata first, since two files may claim one tile; then the maps themselves.
@@ -178,6 +179,7 @@ fn import_all(
         .par_iter()
         .map(|source| {
             progress.advance(1);
+            source.digest.as_ref().map_err(Clone::clone)?;
             load_metadata(&source.path, context.limit)
         })
         .collect();
@@ -295,6 +297,7 @@ fn convert(
     context: &Context<'_>,
 ) -> Result<Converted, Rejection> {
     let grid = &context.manifest.config.grid;
+    let digest = source.digest.clone()?;
     let map = load_values(&source.path, metadata, context.limit)?;
     let geometry = check::geometry(&map, metadata, entry.id, grid, context.record_cell_m)?;
     check::values(&map, metadata)?;
@@ -341,11 +344,7 @@ fn convert(
             refraction: metadata.refraction,
             diffraction: metadata.diffraction,
         },
-        source: SourceMap {
-            file: source.name.clone(),
-            digest: source.digest.clone(),
-            value_kind: map.kind,
-        },
+        source: SourceMap { file: source.name.clone(), digest, value_kind: map.kind },
         tile_sha256: entry.digest.sha256.clone(),
         licence: context.manifest.licence.clone(),
         attribution: context.manifest.attribution.clone(),

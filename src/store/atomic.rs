@@ -1,7 +1,7 @@
 //! Writing a file so that it is whole or absent.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 use crate::error::FileError;
@@ -14,36 +14,54 @@ pub(super) const TEMPORARY_PREFIX: &str = ".holescout-tmp-";
 /// # Errors
 /// [`FileError`] with the path and the operating system's reason; nothing is left behind.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    write_atomic_with(path, |file| file.write_all(bytes))
+    write_with(path, Sync::Now, |file| file.write_all(bytes))
 }
 
-/// As [`write_atomic`], for content that is produced piece by piece.
-///
-/// # Errors
-/// [`FileError`] with the path and the operating system's reason; nothing is left behind.
-pub fn write_atomic_with(
+/// As [`write_atomic`], but the file may still be lost if the machine fails before
+/// [`sync_file`]. For many files of which a list is kept: one sync each, while the disk is
+/// busy anyway, costs more than all the rest.
+pub(super) fn write_unsynced(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    write_with(path, Sync::Later, |file| file.write_all(bytes))
+}
+
+/// Waits until a file, or the entries of a directory, are on the disk.
+pub(super) fn sync_file(path: &Path) -> Result<(), FileError> {
+    let sync = File::open(path).and_then(|file| file.sync_all());
+    sync.map_err(FileError::new("sync", path))
+}
+
+enum Sync {
+    Now,
+    Later,
+}
+
+fn write_with(
     path: &Path,
-    fill: impl FnOnce(&mut BufWriter<&File>) -> std::io::Result<()>,
+    sync: Sync,
+    fill: impl FnOnce(&mut File) -> std::io::Result<()>,
 ) -> Result<(), FileError> {
     let directory = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
     let write = || {
-        let temporary = tempfile::Builder::new()
+        let mut temporary = tempfile::Builder::new()
             .prefix(TEMPORARY_PREFIX)
             .permissions(permissions())
             .tempfile_in(directory)?;
-        let mut buffered = BufWriter::new(temporary.as_file());
-        fill(&mut buffered)?;
-        buffered.flush()?;
-        drop(buffered);
-        temporary.as_file().sync_all()?;
+        fill(temporary.as_file_mut())?;
+        if matches!(sync, Sync::Now) {
+            temporary.as_file().sync_all()?;
+        }
         temporary.persist(path).map_err(|error| error.error)?;
-        // The rename itself lasts only once the directory is on the disk.
-        File::open(directory)?.sync_all()
+        Ok(())
     };
-    write().map_err(FileError::new("write", path))
+    write().map_err(FileError::new("write", path))?;
+    match sync {
+        // The rename itself lasts only once the directory is on the disk.
+        Sync::Now => sync_file(directory),
+        Sync::Later => Ok(()),
+    }
 }
 
 /// Readable by all, as a plain `File::create` would make it (temporary files default to 0600).
@@ -60,7 +78,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("a directory");
         let path = dir.path().join("file");
         write_atomic(&path, b"old").expect("written");
-        let failure = write_atomic_with(&path, |file| {
+        let failure = write_with(&path, Sync::Now, |file| {
             file.write_all(b"new")?;
             Err(std::io::Error::other("power cut"))
         });

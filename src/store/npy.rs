@@ -63,6 +63,10 @@ pub enum DType {
     Float64,
     /// Unsigned byte.
     UInt8,
+    /// Fixed-length text of one byte a character (`S`).
+    Bytes(usize),
+    /// Fixed-length text of four bytes a character (`U`).
+    Unicode(usize),
 }
 
 impl DType {
@@ -74,6 +78,8 @@ impl DType {
             Self::Float32 => 4,
             Self::Float64 => 8,
             Self::UInt8 => 1,
+            Self::Bytes(length) => length,
+            Self::Unicode(length) => length.saturating_mul(4),
         }
     }
 
@@ -85,6 +91,8 @@ impl DType {
             Self::Float32 => "float32",
             Self::Float64 => "float64",
             Self::UInt8 => "uint8",
+            Self::Bytes(_) => "bytes",
+            Self::Unicode(_) => "text",
         }
     }
 }
@@ -179,7 +187,7 @@ pub fn read_npy(bytes: &[u8]) -> Result<Npy<'_>, NpyError> {
 }
 
 impl Npy<'_> {
-    /// All values as float64 in the order of the file.
+    /// All values as float64 in the order of the file; text has none.
     #[must_use]
     pub fn values_f64(&self) -> Vec<f64> {
         match self.dtype {
@@ -187,13 +195,34 @@ impl Npy<'_> {
             DType::Float32 => self.decode::<f32>().map(f64::from).collect(),
             DType::Float64 => self.decode::<f64>().collect(),
             DType::UInt8 => self.decode::<u8>().map(f64::from).collect(),
+            DType::Bytes(_) | DType::Unicode(_) => Vec::new(),
         }
     }
 
-    /// The raw bytes of an array of `uint8`, for text stored as an array.
+    /// The text of an array of `uint8`, or of a single NumPy string, as UTF-8.
     #[must_use]
-    pub fn as_bytes(&self) -> Option<&[u8]> {
-        (self.dtype == DType::UInt8).then_some(self.data)
+    pub fn text(&self) -> Option<Vec<u8>> {
+        let unpadded = |bytes: &[u8]| {
+            let length = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+            bytes[..length].to_vec()
+        };
+        let single = self.shape.iter().all(|&extent| extent == 1);
+        match self.dtype {
+            DType::UInt8 => Some(self.data.to_vec()),
+            DType::Bytes(_) if single => Some(unpadded(self.data)),
+            DType::Unicode(_) if single => {
+                let letters = self.data.chunks_exact(4).map(|bytes| {
+                    let bytes = bytes.try_into().expect("chunks have four bytes");
+                    char::from_u32(if self.big_endian {
+                        u32::from_be_bytes(bytes)
+                    } else {
+                        u32::from_le_bytes(bytes)
+                    })
+                });
+                Some(unpadded(letters.collect::<Option<String>>()?.as_bytes()))
+            }
+            _ => None,
+        }
     }
 
     /// As a matrix of exactly this element type.
@@ -290,7 +319,11 @@ fn parse_descr(value: &str) -> Result<(DType, bool), NpyError> {
         "f8" => DType::Float64,
         "u1" => DType::UInt8,
         "O" => return Err(NpyError::Pickled),
-        _ => return Err(unsupported()),
+        _ => match kind.split_at_checked(1) {
+            Some(("S", length)) => DType::Bytes(length.parse().map_err(|_| unsupported())?),
+            Some(("U", length)) => DType::Unicode(length.parse().map_err(|_| unsupported())?),
+            _ => return Err(unsupported()),
+        },
     };
     match order {
         "<" | "|" => Ok((dtype, false)),

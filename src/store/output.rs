@@ -7,16 +7,17 @@
 //! The manifest is written last and the journal removed after it, so a directory with a
 //! manifest is whole.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
+use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::atomic::TEMPORARY_PREFIX;
+use super::atomic::{TEMPORARY_PREFIX, sync_file, write_unsynced};
 use super::{Digest, sha256_bytes, sha256_file, write_atomic};
 use crate::error::{Fault, FileError, HasFault};
 
@@ -209,19 +210,30 @@ impl OutputDir {
         file: Option<(&str, &[u8])>,
         item: impl FnOnce(Option<&Digest>) -> T,
     ) -> Result<T, FileError> {
+        let key = key.to_owned();
         let file = match file {
             None => None,
-            Some((name, bytes)) => Some((name.to_owned(), self.write(name, bytes)?)),
+            Some((name, bytes)) => {
+                // Announced first, so that no file is there of which the journal knows nothing.
+                let announced = Some((name.to_owned(), sha256_bytes(bytes)));
+                self.note(&Line { key: key.clone(), file: announced, item: () })?;
+                Some((name.to_owned(), self.write(name, bytes)?))
+            }
         };
         let item = item(file.as_ref().map(|(_, digest)| digest));
-        let line = Line { key: key.to_owned(), file, item };
-        let mut journal = self.journal.lock().expect("no writer panics while it holds the lock");
-        write_line(&mut journal, &line)
-            .map_err(FileError::new("write", &self.root.join(JOURNAL)))?;
+        let line = Line { key, file, item };
+        self.note(&line)?;
         Ok(line.item)
     }
 
-    /// Writes a file that belongs to the output as a whole.
+    /// Appends a line to the journal.
+    fn note(&self, line: &impl Serialize) -> Result<(), FileError> {
+        let mut journal = self.journal.lock().expect("no writer panics while it holds the lock");
+        write_line(&mut journal, line).map_err(FileError::new("write", &self.root.join(JOURNAL)))
+    }
+
+    /// Writes a file that belongs to the output as a whole. It is on the disk for good once
+    /// the output is complete; until then its hash in the journal is what it is trusted by.
     ///
     /// # Errors
     /// When writing fails; the file is then absent.
@@ -230,7 +242,7 @@ impl OutputDir {
         if let Some(parent) = path.parent() {
             std::fs::create_dir_all(parent).map_err(FileError::new("create", parent))?;
         }
-        write_atomic(&path, bytes)?;
+        write_unsynced(&path, bytes)?;
         let digest = sha256_bytes(bytes);
         self.remember(name, &digest);
         Ok(digest)
@@ -247,6 +259,7 @@ impl OutputDir {
         let lines = files.iter().map(|(name, digest)| [&digest.sha256, "  ", name, "\n"].concat());
         let sums: String = lines.collect();
         remove_leftovers(&self.root, &files)?;
+        sync_all(&self.root, &files)?;
         write_atomic(&self.root.join(SUMS), sums.as_bytes())?;
         write_atomic(&self.root.join(MANIFEST), manifest)?;
         let journal = self.root.join(JOURNAL);
@@ -260,12 +273,17 @@ impl OutputDir {
     }
 }
 
-/// The lines of a `SHA256SUMS` file as (digest, name); `None` if a line is malformed.
+/// The lines of a `SHA256SUMS` file as (digest, name); `None` if a line is malformed or
+/// names something outside of the directory.
 #[must_use]
 pub fn parse_sums(text: &str) -> Option<Vec<(&str, &str)>> {
-    text.lines()
-        .map(|line| line.split_once("  ").filter(|(digest, _)| digest.len() == 64))
-        .collect()
+    let sound = |&(digest, name): &(&str, &str)| digest.len() == 64 && stays_inside(name);
+    text.lines().map(|line| line.split_once("  ").filter(sound)).collect()
+}
+
+/// A list of files comes from a disk: it must not lead out of its directory.
+fn stays_inside(name: &str) -> bool {
+    Path::new(name).components().all(|part| matches!(part, std::path::Component::Normal(_)))
 }
 
 enum Present {
@@ -329,10 +347,7 @@ fn remove_finished(root: &Path) -> Result<(), FileError> {
 
 /// Removes files by names that come from a disk and must not lead out of their directory.
 fn remove_inside(root: &Path, names: impl Iterator<Item = String>) -> Result<(), FileError> {
-    let inside = |name: &String| {
-        Path::new(name).components().all(|part| matches!(part, std::path::Component::Normal(_)))
-    };
-    let mut names = names.filter(inside);
+    let mut names = names.filter(|name| stays_inside(name));
     names.try_for_each(|name| remove_if_there(&root.join(name)))
 }
 
@@ -345,6 +360,19 @@ fn is_at(file: &File, path: &Path) -> bool {
     }
 }
 
+/// Waits until all files and the directories that name them are on the disk.
+fn sync_all(root: &Path, files: &BTreeMap<String, Digest>) -> Result<(), FileError> {
+    let written: Vec<&String> = files.keys().filter(|name| *name != MANIFEST).collect();
+    written.par_iter().try_for_each(|name| sync_file(&root.join(name)))?;
+    directories(root, files).iter().try_for_each(|directory| sync_file(directory))
+}
+
+/// The directory of an output and those below it that hold its files.
+fn directories(root: &Path, files: &BTreeMap<String, Digest>) -> BTreeSet<PathBuf> {
+    let below = files.keys().filter_map(|name| root.join(name).parent().map(Path::to_owned));
+    below.chain([root.to_owned()]).collect()
+}
+
 /// Removes temporary files of killed runs, and items of the journal that the finished
 /// output does not list.
 fn remove_leftovers(root: &Path, files: &BTreeMap<String, Digest>) -> Result<(), FileError> {
@@ -352,12 +380,7 @@ fn remove_leftovers(root: &Path, files: &BTreeMap<String, Digest>) -> Result<(),
         let journaled = lines.into_iter().filter_map(|line| Some(line.file?.0));
         remove_inside(root, journaled.filter(|name| !files.contains_key(name)))?;
     }
-    let mut directories: Vec<_> =
-        files.keys().filter_map(|name| root.join(name).parent().map(Path::to_owned)).collect();
-    directories.push(root.to_owned());
-    directories.sort();
-    directories.dedup();
-    for directory in directories {
+    for directory in directories(root, files) {
         let entries = std::fs::read_dir(&directory).map_err(FileError::new("list", &directory))?;
         for entry in entries.flatten() {
             if entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX) {

@@ -1,0 +1,198 @@
+//! `schemas/` says what the program writes: it is up to date, every artefact of a real run
+//! validates against it, and an artefact that was tampered with does not.
+
+mod pipeline;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use holescout::dataset::Record;
+use holescout::store::SeekTable;
+use jsonschema::Validator;
+use serde_json::{Value, json};
+
+use pipeline::numpy::meta_json;
+use pipeline::{
+    DATASET_FILES, HELSINKI, assert_says, fixture, helsinki_config, holescout, plant, read,
+    read_json, run, temporary_dir, tree, write,
+};
+
+/// The committed schemas.
+fn schemas() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas")
+}
+
+fn schema(name: &str) -> Validator {
+    let schema = read_json(&schemas().join(format!("{name}.json")));
+    jsonschema::validator_for(&schema).expect("a schema")
+}
+
+/// Artefacts of the fixtures, one of each kind (all, where they are few), by schema.
+fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
+    let npz = |directory: &Path| -> Vec<Value> {
+        let names = tree(directory).into_keys().filter(|name| name.starts_with("utm"));
+        names.take(24).map(|name| meta_json(&directory.join(name))).collect()
+    };
+    let config = run(holescout("config").arg("--json")).succeeds();
+    let mut merged = holescout("config");
+    merged.arg("--json").arg("--config").arg(helsinki_config());
+    let merged = run(&mut merged).succeeds();
+    let parse = |text: &str| serde_json::from_str(text).expect("JSON");
+    let manifest = |stage: &Path| vec![read_json(&stage.join("manifest.json"))];
+    BTreeMap::from([
+        ("config.v1", vec![parse(&config), parse(&merged)]),
+        ("radio_map.v1", npz(&fixture("helsinki/rsrp"))),
+        ("tile.v1", npz(&HELSINKI.tiles)),
+        ("tiles.v1", manifest(&HELSINKI.tiles)),
+        ("rsrp_map.v1", npz(&HELSINKI.rsrp)),
+        ("rsrp.v1", manifest(&HELSINKI.rsrp)),
+        ("record.v1", records()),
+        ("dataset.v1", manifest(&HELSINKI.dataset)),
+    ])
+}
+
+fn records() -> Vec<Value> {
+    let mut records = vec![];
+    for name in [DATASET_FILES[4], DATASET_FILES[5]] {
+        let (mut file, table) = SeekTable::open(&HELSINKI.dataset.join(name)).expect("opened");
+        for frame in 0..table.len() {
+            let bytes = table.frame(&mut file, frame).expect("whole");
+            records.push(json!(Record::decode(&bytes).expect("a record")));
+        }
+    }
+    records
+}
+
+#[test]
+fn the_committed_schemas_are_those_of_the_program() {
+    let said = run(holescout("schemas").arg("--check").arg("--out").arg(schemas())).succeeds();
+    assert_says(&said, &["up to date"]);
+    let names: Vec<String> = tree(&schemas()).into_keys().collect();
+    let expected: Vec<String> =
+        artefacts().into_keys().map(|name| format!("{name}.json")).collect();
+    assert_eq!(names, expected, "nothing more, nothing less");
+}
+
+#[test]
+fn a_changed_or_missing_schema_is_named() {
+    let dir = temporary_dir();
+    plant(dir.path(), &tree(&schemas()));
+    let check = || run(holescout("schemas").arg("--check").arg("--out").arg(dir.path()));
+    check().succeeds();
+    let path = dir.path().join("record.v1.json");
+    let text = String::from_utf8(read(&path)).expect("text");
+    write(&path, text.replace("\"rsrp_dbm\"", "\"rsrp\""));
+    assert_says(&check().refused(), &["record.v1.json", "make schemas"]);
+    fs::remove_file(&path).expect("removed");
+    assert_says(&check().refused(), &["record.v1.json"]);
+    assert!(!path.exists(), "a check changes nothing");
+    run(holescout("schemas").arg("--out").arg(dir.path())).succeeds();
+    assert_eq!(read(&path), text.as_bytes());
+    check().succeeds();
+}
+
+/// A schema of a format that is no more misleads as well.
+#[test]
+fn a_schema_too_many_is_named() {
+    let dir = temporary_dir();
+    plant(dir.path(), &tree(&schemas()));
+    write(&dir.path().join("record.v0.json"), "{}");
+    let mut check = holescout("schemas");
+    let message = run(check.arg("--check").arg("--out").arg(dir.path())).refused();
+    assert_says(&message, &["record.v0.json"]);
+}
+
+#[test]
+fn every_artefact_validates() {
+    for (name, artefacts) in artefacts() {
+        let schema = schema(name);
+        assert!(!artefacts.is_empty());
+        for artefact in artefacts {
+            let errors: Vec<String> = schema
+                .iter_errors(&artefact)
+                .map(|error| format!("{}: {error}", error.instance_path()))
+                .collect();
+            assert!(errors.is_empty(), "{name}: {errors:#?}");
+        }
+    }
+}
+
+#[test]
+fn schemas_are_documented() {
+    for (name, text) in tree(&schemas()) {
+        let schema: Value = serde_json::from_slice(&text).expect("JSON");
+        assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
+        for (field, property) in schema["properties"].as_object().expect("fields") {
+            assert!(property.get("description").is_some(), "{name}: {field}");
+        }
+    }
+}
+
+/// Every field at the top is described as present and of its type.
+#[test]
+fn an_artefact_without_a_field_or_with_one_of_another_type_does_not_validate() {
+    // Producers may leave these out, and add others.
+    let optional = ["schema", "value_kind", "n_subcarriers", "materials", "seed", "osm_sha256"];
+    for (name, artefacts) in artefacts() {
+        let (schema, artefact) = (schema(name), &artefacts[0]);
+        for field in artefact.as_object().expect("fields").keys() {
+            let foreign = name == "radio_map.v1" && optional.contains(&field.as_str());
+            let mut without = artefact.clone();
+            without.as_object_mut().expect("fields").remove(field);
+            let may_lack = foreign || name == "config.v1";
+            assert_eq!(schema.is_valid(&without), may_lack, "{name} without {field}");
+            if field != "materials" {
+                let mut other = artefact.clone();
+                other[field] = json!({"unheard": ["of"]});
+                assert!(!schema.is_valid(&other), "{name}: {field} of another type");
+            }
+        }
+        let mut more = artefact.clone();
+        more["unheard_of"] = json!(1);
+        assert_eq!(schema.is_valid(&more), name == "radio_map.v1", "{name} with a field more");
+    }
+}
+
+#[test]
+fn tampered_values_do_not_validate() {
+    let artefacts = artefacts();
+    let tampered = [
+        ("config.v1", "/grid/side_m", json!(-1)),
+        ("config.v1", "/shard/rsrp", json!("median")),
+        ("config.v1", "/split/areas/0/split", json!("dev")),
+        ("radio_map.v1", "/row_order", json!("up")),
+        ("radio_map.v1", "/no_path_value", json!("inf")),
+        ("radio_map.v1", "/map_center_m", json!([1.0])),
+        ("radio_map.v1", "/tx_position_m", json!([1.0, 2.0, 3.0, 4.0])),
+        ("tile.v1", "/id", json!("helsinki")),
+        ("tile.v1", "/schema", json!("tile.v2")),
+        ("tile.v1", "/row_order", json!("south_first")),
+        ("tiles.v1", "/tiles/0/digest/sha256", json!("ABC")),
+        ("tiles.v1", "/inputs/0/digest/bytes", json!(-5)),
+        ("tiles.v1", "/schema", json!("rsrp.v1")),
+        ("rsrp_map.v1", "/source/value_kind", json!("gain")),
+        ("rsrp_map.v1", "/schema", json!("rsrp_map.v0")),
+        ("rsrp_map.v1", "/row_order", json!("south_first")),
+        ("rsrp.v1", "/maps/0/cells/reached", json!(1.5)),
+        ("rsrp.v1", "/schema", json!("tiles.v1")),
+        ("record.v1", "/split", json!("dev")),
+        ("record.v1", "/mask/0", json!(256)),
+        ("record.v1", "/schema", json!("record.v2")),
+        ("record.v1", "/row_order", json!("south_first")),
+        ("record.v1", "/base_station/power_per_re_dbm", json!("15 dBm")),
+        ("dataset.v1", "/statistics/train/holes", json!("many")),
+        ("dataset.v1", "/records/0/id", json!("utm35_e1_n2")),
+        ("dataset.v1", "/shards/0/split", json!("holdout")),
+        ("dataset.v1", "/schema", json!("dataset.v2")),
+    ];
+    let mut unnoticed = vec![];
+    for (name, path, value) in tampered {
+        let mut artefact = artefacts[name].last().expect("one").clone();
+        *artefact.pointer_mut(path).expect(path) = value.clone();
+        if schema(name).is_valid(&artefact) {
+            unnoticed.push(format!("{name}: {path} = {value}"));
+        }
+    }
+    assert!(unnoticed.is_empty(), "{unnoticed:#?}");
+}
