@@ -106,9 +106,17 @@ fn demand(holds: Result<bool, String>, otherwise: &str) -> Result<(), String> {
 /// Every listed file has its checksum, and every file is listed.
 fn check_sums(root: &Path, failures: &mut Vec<VerifyFailure>, progress: &dyn Progress) -> usize {
     let text = std::fs::read_to_string(root.join(SUMS)).unwrap_or_default();
-    let Some(sums) = parse_sums(&text).filter(|sums| !sums.is_empty()) else {
-        failures.push(failure(SUMS, "missing, empty or malformed"));
-        return 0;
+    let sums = match parse_sums(&text) {
+        Ok(sums) if !sums.is_empty() => sums,
+        Ok(_) => {
+            failures.push(failure(SUMS, "missing or empty"));
+            return 0;
+        }
+        Err(line) => {
+            let reason = format!("no checksum of a file of this directory: {line:?}");
+            failures.push(failure(SUMS, reason));
+            return 0;
+        }
     };
     progress.begin("comparing checksums", Some(sums.len() as u64));
     let wrong: Vec<VerifyFailure> = sums

@@ -30,6 +30,7 @@ pub(super) fn sync_file(path: &Path) -> Result<(), FileError> {
     sync.map_err(FileError::new("sync", path))
 }
 
+#[derive(Clone, Copy)]
 enum Sync {
     Now,
     Later,

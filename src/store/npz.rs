@@ -2,7 +2,7 @@
 //! same arrays give the same bytes; read with a limit on what may be decompressed.
 
 use std::fs::File;
-use std::io::{BufReader, Cursor, Read, Write};
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use zip::write::SimpleFileOptions;
@@ -94,8 +94,12 @@ impl NpzReader {
     /// [`NpzError::File`] and [`NpzError::Archive`].
     pub fn open(path: &Path, limit: u64) -> Result<Self, NpzError> {
         let file = File::open(path).map_err(FileError::new("open", path))?;
+        let listed = listed_members(&file).map_err(FileError::new("read", path))?;
         let archive = ZipArchive::new(BufReader::new(file))
             .map_err(|error| NpzError::Archive(error.to_string()))?;
+        if listed.is_some_and(|listed| usize::from(listed) != archive.len()) {
+            return Err(NpzError::Archive("two members have the same name".to_owned()));
+        }
         if archive.len() > MAX_MEMBERS {
             let count = archive.len();
             return Err(NpzError::Archive(format!("{count} members, at most {MAX_MEMBERS}")));
@@ -143,6 +147,24 @@ impl NpzReader {
         }
         Ok(bytes)
     }
+}
+
+/// Number of members that the end of an archive without a comment declares. The ZIP
+/// library keeps one member of each name and does not tell that there were more.
+fn listed_members(mut file: &File) -> std::io::Result<Option<u16>> {
+    const END_OF_DIRECTORY: u8 = 22;
+    const SIGNATURE: &[u8] = b"PK\x05\x06";
+    let size = file.seek(SeekFrom::End(0))?;
+    let mut end = [0; END_OF_DIRECTORY as usize];
+    if size >= u64::from(END_OF_DIRECTORY) {
+        file.seek(SeekFrom::End(-i64::from(END_OF_DIRECTORY)))?;
+        file.read_exact(&mut end)?;
+    }
+    file.rewind()?;
+    let [.., low, high, _, _, _, _, _, _, _, _, _, _] = end;
+    let count = u16::from_le_bytes([low, high]);
+    // The largest number stands for "see the 64-bit record".
+    Ok((end.starts_with(SIGNATURE) && count != u16::MAX).then_some(count))
 }
 
 #[cfg(test)]

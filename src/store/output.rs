@@ -273,12 +273,13 @@ impl OutputDir {
     }
 }
 
-/// The lines of a `SHA256SUMS` file as (digest, name); `None` if a line is malformed or
-/// names something outside of the directory.
-#[must_use]
-pub fn parse_sums(text: &str) -> Option<Vec<(&str, &str)>> {
+/// The lines of a `SHA256SUMS` file as (digest, name).
+///
+/// # Errors
+/// The first line that is malformed or names something outside of the directory.
+pub fn parse_sums(text: &str) -> Result<Vec<(&str, &str)>, &str> {
     let sound = |&(digest, name): &(&str, &str)| digest.len() == 64 && stays_inside(name);
-    text.lines().map(|line| line.split_once("  ").filter(sound)).collect()
+    text.lines().map(|line| line.split_once("  ").filter(sound).ok_or(line)).collect()
 }
 
 /// A list of files comes from a disk: it must not lead out of its directory.
@@ -455,7 +456,8 @@ mod tests {
         names.sort();
         assert_eq!(names, [SUMS, "a.bin", MANIFEST]);
         let sums = std::fs::read_to_string(dir.path().join(SUMS)).expect("read");
-        assert_eq!(parse_sums(&sums).map(|sums| sums.len()), Some(2));
+        assert_eq!(parse_sums(&sums).map(|sums| sums.len()), Ok(2));
+        assert_eq!(parse_sums("0  ../a"), Err("0  ../a"));
     }
 
     #[test]
