@@ -11,7 +11,7 @@ use crate::units::Dbm;
 #[serde(default, deny_unknown_fields)]
 pub struct RsrpConfig {
     /// What cells without a path hold, in dBm. It is the mask that tells them apart: levels
-    /// of weakly reached cells may be lower (diffraction goes down to -240 dBm), and a
+    /// of weakly reached cells may be lower (diffraction goes down to -330 dBm), and a
     /// trainer may choose another floor without importing again.
     pub floor_dbm: Dbm,
     /// Larger files are refused before anything is allocated, in MiB of decoded array.
