@@ -132,7 +132,6 @@ fn of_npz(error: &NpzError) -> Rejection {
     match error {
         NpzError::File(error) => unreadable(error),
         NpzError::TooLarge { .. } => too_large(error.to_string()),
-        NpzError::Array { source, .. } => of_npy(source),
         other => damaged(other.to_string()),
     }
 }

@@ -8,7 +8,6 @@ use std::path::Path;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
-use super::npy::NpyError;
 use crate::error::{Fault, FileError, HasFault};
 
 /// More members than any map or tile has.
@@ -41,14 +40,6 @@ pub enum NpzError {
         bytes: u64,
         /// The most that is allowed.
         limit: u64,
-    },
-    /// A member is no valid array.
-    #[error("array {name:?} {source}")]
-    Array {
-        /// The array.
-        name: String,
-        /// What is wrong with it.
-        source: NpyError,
     },
 }
 
