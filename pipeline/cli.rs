@@ -8,8 +8,8 @@
 use std::num::NonZero;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueHint};
-use holescout::config::Config;
+use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
+use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed while running, 2 wrong usage, \
@@ -53,6 +53,8 @@ pub(crate) enum Command {
     Verify(VerifyArgs),
     /// Show a dataset's figures, or one record as picture or JSON
     Inspect(InspectArgs),
+    /// Judge methods on a dataset: precision and recall, with intervals, and a report
+    Evaluate(EvaluateArgs),
     /// Write the JSON Schemas of all file formats, or check them
     Schemas(SchemasArgs),
     /// Print the configuration, merged from defaults, file and flags
@@ -66,10 +68,12 @@ impl Command {
             Self::Rasterise(args) => args.tiles.apply(config),
             Self::ImportRsrp(args) => args.rsrp.apply(config),
             Self::Shard(args) => args.dataset.apply(config),
+            Self::Evaluate(args) => args.judging.apply(config),
             Self::Config(args) => {
                 args.tiles.apply(config);
                 args.rsrp.apply(config);
                 args.dataset.apply(config);
+                args.judging.apply(config);
             }
             Self::Verify(_) | Self::Inspect(_) | Self::Schemas(_) => {}
         }
@@ -165,6 +169,29 @@ pub(crate) struct InspectArgs {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct EvaluateArgs {
+    /// A dataset
+    #[arg(long, value_name = "DATASET", value_hint = ValueHint::DirPath)]
+    pub(crate) dataset: PathBuf,
+    /// Which of its splits
+    #[arg(long, value_enum, default_value_t = SplitChoice::Test)]
+    pub(crate) split: SplitChoice,
+    #[command(flatten)]
+    pub(crate) output: OutputArgs,
+    #[command(flatten)]
+    pub(crate) judging: JudgingFlags,
+}
+
+/// A split of a dataset, or all of them.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum SplitChoice {
+    Train,
+    Val,
+    Test,
+    All,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct SchemasArgs {
     /// Directory of schemas
     #[arg(long, value_name = "DIR", default_value = "schemas", value_hint = ValueHint::DirPath)]
@@ -182,6 +209,8 @@ pub(crate) struct ConfigArgs {
     pub(crate) rsrp: RsrpFlags,
     #[command(flatten)]
     pub(crate) dataset: DatasetFlags,
+    #[command(flatten)]
+    pub(crate) judging: JudgingFlags,
 }
 
 /// Flags for `[grid]`, `[buildings]` and `[filter]`.
@@ -304,5 +333,64 @@ impl DatasetFlags {
         set(&mut split.val, self.val.as_ref());
         set(&mut split.test, self.test.as_ref());
         set(&mut split.strict, self.strict.as_ref());
+    }
+}
+
+/// Flags for `[rl]` and `[evaluate]`.
+#[derive(Debug, Args)]
+pub(crate) struct JudgingFlags {
+    /// rl.hole_threshold_dbm: outdoor cells below this are coverage holes, in dBm
+    #[arg(long, value_name = "DBM", allow_hyphen_values = true)]
+    threshold: Option<f64>,
+    /// rl.flight_height_m: cells at least this high are occupied, in metres
+    #[arg(long, value_name = "M")]
+    flight_height: Option<f64>,
+    /// rl.reach_cells: cells that one step may lead in each direction
+    #[arg(long, value_name = "N")]
+    reach: Option<u32>,
+    /// evaluate.methods, for instance rsp,bnp-8,g-rsp,random-walk,oracle
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    methods: Option<Vec<Method>>,
+    /// evaluate.starts: random starts on each map
+    #[arg(long, value_name = "N")]
+    starts: Option<u32>,
+    /// evaluate.steps: numbers of steps to judge after
+    #[arg(long, value_name = "K", value_delimiter = ',')]
+    steps: Option<Vec<u32>>,
+    /// evaluate.seed
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// evaluate.bootstrap: resamples for the 95 % intervals
+    #[arg(long, value_name = "N")]
+    bootstrap: Option<u32>,
+    /// evaluate.gradient_rate: update rate of gradient descent, in cells per dB per cell
+    #[arg(long, value_name = "F")]
+    gradient_rate: Option<f64>,
+    /// evaluate.gradient_smoothing_cells: smoothing before the gradient is taken, in cells
+    #[arg(long, value_name = "CELLS")]
+    gradient_smoothing: Option<f64>,
+    /// evaluate.noise_db: standard deviation of the error of measured levels, in dB
+    #[arg(long, value_name = "DB")]
+    noise: Option<f64>,
+    /// evaluate.stale_share: share of the buildings that the stored map lacks
+    #[arg(long, value_name = "F")]
+    stale: Option<f64>,
+}
+
+impl JudgingFlags {
+    fn apply(&self, config: &mut Config) {
+        let Config { rl, evaluate, .. } = config;
+        set(&mut rl.hole_threshold_dbm, self.threshold.map(Dbm).as_ref());
+        set(&mut rl.flight_height_m, self.flight_height.as_ref());
+        set(&mut rl.reach_cells, self.reach.as_ref());
+        set(&mut evaluate.methods, self.methods.as_ref());
+        set(&mut evaluate.starts, self.starts.as_ref());
+        set(&mut evaluate.steps, self.steps.as_ref());
+        set(&mut evaluate.seed, self.seed.as_ref());
+        set(&mut evaluate.bootstrap, self.bootstrap.as_ref());
+        set(&mut evaluate.gradient_rate, self.gradient_rate.as_ref());
+        set(&mut evaluate.gradient_smoothing_cells, self.gradient_smoothing.as_ref());
+        set(&mut evaluate.noise_db, self.noise.as_ref());
+        set(&mut evaluate.stale_share, self.stale.as_ref());
     }
 }

@@ -3,6 +3,7 @@
 mod cli;
 mod config;
 mod console;
+mod evaluate;
 mod failure;
 mod import_rsrp;
 mod inspect;
@@ -43,6 +44,7 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
         Command::Rasterise(args) => rasterise::run(args, &config, console),
         Command::ImportRsrp(args) => import_rsrp::run(args, &config, console),
         Command::Shard(args) => shard::run(args, &config, console),
+        Command::Evaluate(args) => evaluate::run(args, &config, console),
         Command::Verify(args) => verify::run(args, console),
         Command::Inspect(args) => inspect::run(args),
         Command::Schemas(args) => schemas::run(args),

@@ -5,8 +5,9 @@ use std::path::Path;
 use holescout::config::Config;
 use holescout::dataset::Record;
 use holescout::error::FileError;
+use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
-    DatasetManifest, RsrpManifest, RsrpMeta, TileMeta, TilesManifest, to_json,
+    DatasetManifest, EvaluationManifest, RsrpManifest, RsrpMeta, TileMeta, TilesManifest, to_json,
 };
 use holescout::radio_map::RadioMapMetadata;
 use holescout::store::write_atomic;
@@ -68,6 +69,8 @@ fn all() -> Vec<(String, Vec<u8>)> {
         schema::<RsrpManifest>(RsrpManifest::SCHEMA),
         schema::<Record>(Record::SCHEMA),
         schema::<DatasetManifest>(DatasetManifest::SCHEMA),
+        schema::<EvaluationManifest>(EvaluationManifest::SCHEMA),
+        schema::<EvaluationReport>(EvaluationReport::SCHEMA),
     ]
 }
 

@@ -16,17 +16,21 @@
 //! 6. [`osm`], [`rasterise`], [`radio_map`]: extracts to buildings to height grids; anyone's
 //!    radio maps to aligned RSRP
 //! 7. [`dataset`]: records, splits, shards; verifying and drawing them
+//! 8. [`rl`]: the task on a record, policies, the exact optimum
+//! 9. [`evaluate`]: precision and recall of policies, with intervals, and the report
 
 pub mod building;
 pub mod config;
 pub mod crs;
 pub mod dataset;
 pub mod error;
+pub mod evaluate;
 pub mod grid;
 pub mod manifest;
 pub mod osm;
 pub mod progress;
 pub mod radio_map;
 pub mod rasterise;
+pub mod rl;
 pub mod store;
 pub mod units;

@@ -4,11 +4,13 @@
 //! manifest records the sections that made it. Unknown keys are errors.
 
 mod dataset;
+mod rl;
 mod tiles;
 
 pub use dataset::{
     HeightDownsampling, RsrpConfig, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
 };
+pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
 pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
 
 use schemars::JsonSchema;
@@ -61,6 +63,10 @@ pub struct Config {
     pub shard: ShardConfig,
     /// Train, validation and test.
     pub split: SplitConfig,
+    /// The task: coverage holes, moves, encodings.
+    pub rl: RlConfig,
+    /// How policies are judged.
+    pub evaluate: EvaluateConfig,
 }
 
 impl Config {
@@ -74,7 +80,9 @@ impl Config {
         self.filter.validate()?;
         self.rsrp.validate()?;
         self.shard.validate(&self.grid)?;
-        self.split.validate()
+        self.split.validate()?;
+        self.rl.validate()?;
+        self.evaluate.validate()
     }
 }
 

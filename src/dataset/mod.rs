@@ -17,6 +17,8 @@ mod view;
 
 pub use downsample::{downsample_heights, downsample_rsrp};
 pub use read::{Dataset, ReadError};
+#[cfg(test)]
+pub(crate) use record::tests::example;
 pub use record::{Grids, Provenance, Record, RecordError};
 pub use render::{PanelStyle, panels_png};
 pub use split::{SplitAssignment, assign_splits};

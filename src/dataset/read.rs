@@ -7,7 +7,7 @@ use super::record::{Grids, Record, RecordError};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, load};
-use crate::store::{SeekError, SeekTable};
+use crate::store::{Digest, SeekError, SeekTable};
 
 /// Why a record cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -65,6 +65,7 @@ impl HasFault for ReadError {
 pub struct Dataset {
     root: PathBuf,
     manifest: DatasetManifest,
+    digest: Digest,
     index: BTreeMap<TileId, IndexEntry>,
 }
 
@@ -74,15 +75,21 @@ impl Dataset {
     /// # Errors
     /// [`ReadError::Manifest`], also for a build that was interrupted.
     pub fn open(root: &Path) -> Result<Self, ReadError> {
-        let (manifest, _) = load::<DatasetManifest>(root, "shard", DatasetManifest::SCHEMA)?;
+        let (manifest, digest) = load::<DatasetManifest>(root, "shard", DatasetManifest::SCHEMA)?;
         let index = manifest.records.iter().map(|entry| (entry.id, entry.clone())).collect();
-        Ok(Self { root: root.to_owned(), manifest, index })
+        Ok(Self { root: root.to_owned(), manifest, digest, index })
     }
 
     /// The manifest.
     #[must_use]
     pub fn manifest(&self) -> &DatasetManifest {
         &self.manifest
+    }
+
+    /// Size and SHA-256 of the manifest, which names every shard by its SHA-256.
+    #[must_use]
+    pub fn digest(&self) -> &Digest {
+        &self.digest
     }
 
     /// Reads the record of a tile; the frame's checksum is verified.

@@ -218,7 +218,7 @@ impl Record {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::manifest::ValueKind;
     use crate::store::sha256_bytes;

@@ -14,8 +14,8 @@ use super::statistics;
 use crate::config::{Config, Split};
 use crate::grid::TileId;
 use crate::manifest::{
-    DatasetConfig, DatasetManifest, ManifestError, RsrpFile, RsrpManifest, ShardEntry,
-    SplitStatistics, TileFile, TilesManifest, load,
+    DatasetConfig, DatasetManifest, EvaluationManifest, ManifestError, RsrpFile, RsrpManifest,
+    ShardEntry, SplitStatistics, TileFile, TilesManifest, load,
 };
 use crate::progress::Progress;
 use crate::store::{MANIFEST, SUMS, parse_sums, sha256_file};
@@ -78,6 +78,10 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
                 let matches = read.map(|map| map.meta.id == entry.id);
                 (&entry.file, demand(matches, "tile id differs from the manifest's"))
             })
+        }
+        Some(EvaluationManifest::SCHEMA) => {
+            load::<EvaluationManifest>(root, "evaluate", EvaluationManifest::SCHEMA)?;
+            0
         }
         _ => {
             let (manifest, _) = load::<DatasetManifest>(root, "shard", DatasetManifest::SCHEMA)?;
@@ -301,7 +305,7 @@ fn read_shard(
 /// The configuration decides what counts as apart, so it must be sound and that of the records.
 fn check_config(manifest: &DatasetManifest) -> Result<(), String> {
     let DatasetConfig { grid, buildings, filter, rsrp, shard, split } = manifest.config.clone();
-    let config = Config { grid, buildings, filter, rsrp, shard, split };
+    let config = Config { grid, buildings, filter, rsrp, shard, split, ..Config::default() };
     config.validate().map_err(|error| error.to_string())?;
     let (cells, cell_m) =
         (config.shard.record_cells(&config.grid), config.shard.cell_m(&config.grid));

@@ -49,7 +49,7 @@ impl HasFault for ManifestError {
 }
 
 /// The program that wrote an output.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Software {
     /// Name of the program.

@@ -5,6 +5,7 @@
 
 mod common;
 mod dataset;
+mod evaluation;
 mod files;
 mod rsrp;
 mod tiles;
@@ -13,6 +14,7 @@ pub use common::{Input, ManifestError, Software, fingerprint, load, to_json};
 pub use dataset::{
     DatasetConfig, DatasetManifest, Dropped, IndexEntry, RsrpHistogram, ShardEntry, SplitStatistics,
 };
+pub use evaluation::EvaluationManifest;
 pub use files::{RsrpFile, StageFileError, TileFile, dropped_tiles};
 pub use rsrp::{
     BaseStation, MapEntry, MaskCounts, Radio, RadioCount, RsrpManifest, RsrpMeta, SourceMap,

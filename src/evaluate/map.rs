@@ -1,0 +1,237 @@
+//! One map: all methods fly over it, and their predictions are counted.
+
+use super::methods;
+use super::report::Difficulty;
+use super::track::{Place, Track, fly};
+use crate::config::{Config, EvaluateConfig, Method};
+use crate::rl::{Cell, Hops, Random, Sight, World};
+
+const NOISE: u64 = 3;
+const STALE: u64 = 4;
+
+/// A map with the copy of it that the UAV has stored.
+#[derive(Debug)]
+pub(super) struct Scene {
+    pub(super) truth: World,
+    /// Where it differs from the truth.
+    stored: Option<World>,
+}
+
+impl Scene {
+    pub(super) fn new(truth: World, config: &EvaluateConfig) -> Self {
+        let random = |what| Random::keyed(&[&[config.seed][..], &truth.key(), &[what]].concat());
+        let stale = (config.stale_share > 0.0)
+            .then(|| truth.with_stale_buildings(config.stale_share, &mut random(STALE)));
+        let stored = if config.noise_db > 0.0 {
+            let stale = stale.as_ref().unwrap_or(&truth);
+            Some(stale.with_noise(config.noise_db, &mut random(NOISE)))
+        } else {
+            stale
+        };
+        Self { truth, stored }
+    }
+
+    /// What a method flies in: the oracle knows the truth, and measures without error.
+    fn place<'a>(&'a self, method: Method, sight: &'a Sight) -> Place<'a> {
+        let truth = &self.truth;
+        let stored = self.stored.as_ref().filter(|_| method != Method::Oracle);
+        Place { truth, known: stored.unwrap_or(truth), sight }
+    }
+
+    /// All flights of a method.
+    pub(super) fn tracks(&self, method: Method, sight: &Sight, config: &Config) -> Vec<Track> {
+        let place = self.place(method, sight);
+        let starts = methods::starts(method, place, &config.evaluate);
+        let key = methods::key(method, place, &config.evaluate);
+        let most = config.evaluate.steps.last().copied().unwrap_or(0);
+        match methods::policy(method, place, &config.evaluate) {
+            Some(policy) => fly(place, &*policy, &starts, most, &key),
+            None => fly(place, &crate::rl::policy::RandomWalk, &starts, 0, &key),
+        }
+    }
+}
+
+/// Precision and recall on one map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct MapScore {
+    pub(super) precision: Option<f64>,
+    pub(super) recall: Option<f64>,
+    pub(super) recall_with_indoor: Option<f64>,
+}
+
+/// What a method came to on one map.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct MethodOnMap {
+    /// For each k and, within it, each number of starts.
+    pub(super) scores: Vec<Vec<MapScore>>,
+    /// Flights that ended on a hole, by steps.
+    pub(super) found_after: Vec<u64>,
+    pub(super) not_found: u64,
+    pub(super) predictions: u64,
+    pub(super) blocked: u64,
+    pub(super) metres: f64,
+}
+
+/// What all methods came to on one map.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct MapResult {
+    pub(super) outdoor_cells: u64,
+    pub(super) hole_cells: u64,
+    pub(super) difficulty: Difficulty,
+    /// In the order of the configuration.
+    pub(super) methods: Vec<MethodOnMap>,
+}
+
+impl MapResult {
+    /// Share of outdoor cells that are holes.
+    pub(super) fn hole_share(&self) -> f64 {
+        self.hole_cells as f64 / self.outdoor_cells.max(1) as f64
+    }
+}
+
+/// Numbers of starts at which a method is judged: 1, 2, 5, 10, 20 ... and all.
+pub(super) fn counts(starts: u32) -> Vec<u32> {
+    let decades = (0..).map(|power| 10_u32.pow(power)).take_while(|&ten| ten < starts);
+    let below = decades.flat_map(|ten| [ten, 2 * ten, 5 * ten]).filter(|&count| count < starts);
+    below.chain([starts]).collect()
+}
+
+/// Evaluates all methods on a map.
+pub(super) fn evaluate(scene: &Scene, sight: &Sight, config: &Config) -> MapResult {
+    let truth = &scene.truth;
+    let outdoors: Vec<Cell> =
+        truth.free_cells().into_iter().filter(|&cell| truth.is_outdoors(cell)).collect();
+    let methods = config.evaluate.methods.iter().map(|&method| {
+        let tracks = scene.tracks(method, sight, config);
+        judge(truth, &tracks, methods::steps(method, &config.evaluate), &config.evaluate)
+    });
+    MapResult {
+        outdoor_cells: outdoors.len() as u64,
+        hole_cells: truth.holes().len() as u64,
+        difficulty: difficulty(truth, sight, &outdoors),
+        methods: methods.collect(),
+    }
+}
+
+fn difficulty(truth: &World, sight: &Sight, outdoors: &[Cell]) -> Difficulty {
+    let hops = Hops::new(truth, sight);
+    let mut difficulty = Difficulty::default();
+    for &cell in outdoors {
+        match hops.from(cell) {
+            Some(hops) => count(&mut difficulty.cells_by_hops, hops.into()),
+            None => difficulty.unreachable += 1,
+        }
+    }
+    difficulty
+}
+
+/// One more in a histogram.
+fn count(counts: &mut Vec<u64>, at: usize) {
+    if counts.len() <= at {
+        counts.resize(at + 1, 0);
+    }
+    counts[at] += 1;
+}
+
+fn judge(truth: &World, tracks: &[Track], steps: &[u32], config: &EvaluateConfig) -> MethodOnMap {
+    let mut result = MethodOnMap {
+        scores: steps.iter().map(|&k| scores(truth, tracks, k, config.starts)).collect(),
+        found_after: Vec::new(),
+        not_found: 0,
+        predictions: tracks.iter().map(|track| track.steps() as u64).sum(),
+        blocked: tracks.iter().map(|track| track.blocked).sum(),
+        metres: tracks.iter().map(Track::length).sum::<f64>() * truth.cell_m(),
+    };
+    for track in tracks {
+        if truth.is_hole(track.cell_after(u32::MAX)) {
+            count(&mut result.found_after, track.steps());
+        } else {
+            result.not_found += 1;
+        }
+    }
+    result
+}
+
+/// Precision and recall, as the paper's section "Evaluation Metric" defines them, of the
+/// predictions after at most k steps from the first 1, 2, 5 ... starts.
+fn scores(truth: &World, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore> {
+    let holes = truth.holes().len();
+    let share = |part: usize, whole: usize| (whole > 0).then(|| part as f64 / whole as f64);
+    let mut seen = vec![false; truth.cells() * truth.cells()];
+    let (mut done, mut hits, mut unique) = (0, 0, 0);
+    let counts = counts(starts);
+    counts
+        .into_iter()
+        .map(|count| {
+            let available = tracks.len().min(count as usize);
+            for track in &tracks[done..available] {
+                let cell = track.cell_after(k);
+                if truth.is_hole(cell) {
+                    hits += 1;
+                    unique += usize::from(!std::mem::replace(&mut seen[truth.index(cell)], true));
+                }
+            }
+            done = available;
+            MapScore {
+                precision: share(hits, done),
+                // Without a prediction nothing can be said about finding holes either.
+                recall: share(unique, holes).filter(|_| done > 0),
+                recall_with_indoor: share(unique, truth.weak_cells()).filter(|_| done > 0),
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl::tests::world;
+
+    fn track(cells: &[(i32, i32)]) -> Track {
+        let path: Vec<[f64; 2]> = cells.iter().map(|&(r, c)| Cell::new(r, c).center()).collect();
+        Track { predicted: vec![], rsrp_dbm: vec![], blocked: 0, path }
+    }
+
+    #[test]
+    fn counts_rise_to_all_starts() {
+        assert_eq!(counts(200), [1, 2, 5, 10, 20, 50, 100, 200]);
+        assert_eq!(counts(1), [1]);
+        assert_eq!(counts(30), [1, 2, 5, 10, 20, 30]);
+    }
+
+    /// Four holes and a building; five flights, of which two end on the same hole.
+    #[test]
+    fn precision_and_recall_by_hand() {
+        let truth = world("oo.\n.#.\noo.", 2);
+        let tracks = [
+            track(&[(0, 2), (0, 0)]),
+            track(&[(1, 0), (0, 0)]),
+            track(&[(2, 2)]),
+            track(&[(2, 0)]),
+            track(&[(1, 2), (0, 2), (2, 1)]),
+        ];
+        let at = |k| {
+            let all = scores(&truth, &tracks, k, 5);
+            *all.last().expect("all starts")
+        };
+        let score = |precision, recall, with_indoor| MapScore {
+            precision: Some(precision),
+            recall: Some(recall),
+            recall_with_indoor: Some(with_indoor),
+        };
+        assert_eq!(at(0), score(0.2, 0.25, 0.2));
+        assert_eq!(at(1), score(0.6, 0.5, 0.4));
+        assert_eq!(at(8), score(0.8, 0.75, 0.6));
+        assert_eq!(scores(&truth, &tracks, 1, 5)[1], score(1.0, 0.25, 0.2), "two starts");
+        assert_eq!(scores(&truth, &tracks[..2], 1, 5)[2], score(1.0, 0.25, 0.2), "all there are");
+    }
+
+    #[test]
+    fn without_holes_there_is_no_recall_and_without_starts_nothing() {
+        let truth = world("..\n..", 2);
+        let score = scores(&truth, &[track(&[(0, 0)])], 0, 1)[0];
+        assert_eq!((score.precision, score.recall), (Some(0.0), None));
+        let holes = world("o.\n..", 2);
+        assert_eq!(scores(&holes, &[], 0, 1)[0].recall, None);
+    }
+}

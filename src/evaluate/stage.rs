@@ -1,0 +1,218 @@
+//! `holescout evaluate`: a dataset in, a report out.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::bootstrap::Bootstrap;
+use super::chart::svg_to_png;
+use super::gallery;
+use super::groups::overlapping_pairs;
+use super::map::{self, MapResult, Scene};
+use super::report::{DatasetUsed, MapsUsed, Report};
+use super::summary::Results;
+use super::{figures, methods, page, tables};
+use crate::config::{Config, Split};
+use crate::dataset::{Dataset, ReadError};
+use crate::error::{Fault, FileError, HasFault};
+use crate::grid::TileId;
+use crate::manifest::{EvaluationManifest, Software, fingerprint, to_json};
+use crate::progress::Progress;
+use crate::rl::{Sight, World};
+use crate::store::{OutputDir, OutputError};
+
+/// Pixels of a chart's PNG for one unit of its SVG.
+const PNG_SCALE: f32 = 2.0;
+
+/// Why an evaluation could not be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluateError {
+    /// The dataset cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The output directory cannot be used.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// The split has no records.
+    #[error("the {split} split of {dataset} has no records; those that have: {others}")]
+    EmptySplit {
+        /// What was asked for.
+        split: String,
+        /// The dataset's directory.
+        dataset: String,
+        /// Splits that have records.
+        others: String,
+    },
+}
+
+impl HasFault for EvaluateError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Read(error) => error.fault(),
+            Self::Output(error) => error.fault(),
+            Self::EmptySplit { .. } => Fault::Input,
+        }
+    }
+}
+
+impl From<FileError> for EvaluateError {
+    fn from(error: FileError) -> Self {
+        Self::Output(error.into())
+    }
+}
+
+/// What to evaluate and where to.
+#[derive(Debug, Clone, Copy)]
+pub struct EvaluateJob<'a> {
+    /// A dataset.
+    pub dataset: &'a Path,
+    /// Its split; all of them if `None`.
+    pub split: Option<Split>,
+    /// The configuration; `[rl]` and `[evaluate]` are used.
+    pub config: &'a Config,
+    /// The directory to fill.
+    pub out: &'a Path,
+    /// Replace an evaluation of other inputs that is there.
+    pub overwrite: bool,
+}
+
+/// Evaluates all methods on a split of a dataset, and returns the report that was written.
+///
+/// The same inputs give the same bytes at any number of threads.
+///
+/// # Errors
+/// [`EvaluateError`]; nothing is left under a final name then.
+pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report, EvaluateError> {
+    let dataset = Dataset::open(job.dataset)?;
+    let records = records(&dataset, job)?;
+    let config = job.config;
+    let split = job.split.map_or("all", Split::name).to_owned();
+    let fingerprint =
+        fingerprint(&("evaluate", dataset.digest(), &split, &config.rl, &config.evaluate));
+    let output = OutputDir::begin(job.out, "evaluation", &fingerprint, job.overwrite)?;
+
+    let sight = Sight::new(config.rl.reach_cells);
+    let scene = |id| -> Result<Scene, ReadError> {
+        let (record, grids) = dataset.record_with_grids(id)?;
+        Ok(Scene::new(World::new(&record, &grids, &config.rl), &config.evaluate))
+    };
+    progress.begin("flying", Some(records.len() as u64));
+    let maps = records.par_iter().map(|&(id, _)| {
+        let result = map::evaluate(&scene(id)?, &sight, config);
+        progress.advance(1);
+        Ok(result)
+    });
+    let maps: Vec<MapResult> = maps.collect::<Result<_, ReadError>>()?;
+    progress.end();
+
+    progress.begin("resampling", None);
+    let ids: Vec<TileId> = records.iter().map(|(id, _)| *id).collect();
+    let report = Report {
+        schema: Report::SCHEMA.to_owned(),
+        fingerprint,
+        software: Software::this(),
+        dataset: DatasetUsed::of(&dataset),
+        split,
+        rl: config.rl.clone(),
+        evaluate: config.evaluate.clone(),
+        maps: maps_used(&ids, &maps, &dataset),
+        ..summarise(&ids, &maps, config)
+    };
+    progress.end();
+
+    progress.begin("drawing", None);
+    let gallery = gallery::choose(&maps, config.evaluate.gallery_maps)
+        .into_par_iter()
+        .map(|at| {
+            let (id, split) = records[at];
+            Ok(gallery::show(&scene(id)?, split, &maps[at], &sight, config))
+        })
+        .collect::<Result<Vec<_>, ReadError>>()?;
+    let charts = figures::of_report(&report).map(|(name, chart)| (name, chart.to_svg()));
+    for (name, svg) in &charts {
+        output.write(&format!("{name}.svg"), svg.as_bytes())?;
+        output.write(&format!("{name}.png"), &svg_to_png(svg, PNG_SCALE))?;
+    }
+    let page = page::render(&report, &charts, &gallery);
+    output.write("report.html", page.as_bytes())?;
+    progress.end();
+
+    output.write("report.json", &to_json(&report))?;
+    output.write("scores.csv", &tables::scores(&report))?;
+    output.write("maps.csv", &tables::maps(&ids, &maps, &config.evaluate))?;
+    output.write("NOTICE", notice(&report).as_bytes())?;
+    output.complete(&to_json(&EvaluationManifest {
+        schema: EvaluationManifest::SCHEMA.to_owned(),
+        fingerprint: report.fingerprint.clone(),
+        software: Software::this(),
+        dataset: dataset.digest().clone(),
+        split: report.split.clone(),
+        rl: config.rl.clone(),
+        evaluate: config.evaluate.clone(),
+    }))?;
+    Ok(report)
+}
+
+/// The records of the wanted splits, by name.
+fn records(dataset: &Dataset, job: EvaluateJob<'_>) -> Result<Vec<(TileId, Split)>, EvaluateError> {
+    let manifest = dataset.manifest();
+    let splits: BTreeMap<&str, Split> =
+        manifest.shards.iter().map(|shard| (&*shard.file, shard.split)).collect();
+    let with_split = manifest.records.iter().filter_map(|record| {
+        let split = *splits.get(&*record.shard)?;
+        job.split.is_none_or(|wanted| wanted == split).then_some((record.id, split))
+    });
+    let records: Vec<(TileId, Split)> = with_split.collect();
+    if records.is_empty() {
+        let others: Vec<&str> = manifest.statistics.keys().map(|split| split.name()).collect();
+        return Err(EvaluateError::EmptySplit {
+            split: job.split.map_or("whole", Split::name).to_owned(),
+            dataset: job.dataset.display().to_string(),
+            others: if others.is_empty() { "none".to_owned() } else { others.join(", ") },
+        });
+    }
+    Ok(records)
+}
+
+fn maps_used(ids: &[TileId], maps: &[MapResult], dataset: &Dataset) -> MapsUsed {
+    let manifest = dataset.manifest();
+    let count = |holds: fn(&MapResult) -> bool| maps.iter().filter(|map| holds(map)).count() as u64;
+    MapsUsed {
+        evaluated: maps.len() as u64,
+        without_holes: count(|map| map.hole_cells == 0),
+        without_starts: count(|map| map.outdoor_cells == 0),
+        overlapping_pairs: overlapping_pairs(ids, f64::from(manifest.cells) * manifest.cell_m),
+        outdoor_cells: maps.iter().map(|map| map.outdoor_cells).sum(),
+        hole_cells: maps.iter().map(|map| map.hole_cells).sum(),
+    }
+}
+
+fn notice(report: &Report) -> String {
+    let DatasetUsed { attribution, licences, .. } = &report.dataset;
+    format!(
+        "This evaluation shows building heights of a dataset that contains information from\n\
+         {}, made available under {}.\n\
+         Keep this notice with report.html and everything made from it.\n",
+        attribution.join(", "),
+        licences.join(", "),
+    )
+}
+
+/// The figures of a report; what it was made from is left empty.
+fn summarise(ids: &[TileId], maps: &[MapResult], config: &Config) -> Report {
+    let evaluate = &config.evaluate;
+    let results = Results { config: evaluate, ids, maps };
+    let bootstrap = Bootstrap::new(maps.len(), evaluate.bootstrap, evaluate.seed);
+    Report {
+        methods: evaluate.methods.iter().map(|&method| methods::info(method, evaluate)).collect(),
+        scores: results.scores(&bootstrap),
+        flights: results.flights(),
+        oracle_share: results.oracle_share(&bootstrap),
+        differences: results.differences(&bootstrap),
+        groups: results.groups(),
+        difficulty: results.difficulty(),
+        ..Report::default()
+    }
+}

@@ -1,0 +1,34 @@
+//! `manifest.json` of an evaluation: what it was made from. The figures are in `report.json`.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Software;
+use crate::config::{EvaluateConfig, RlConfig};
+use crate::store::Digest;
+
+/// The manifest that `holescout evaluate` writes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EvaluationManifest {
+    /// Always `evaluation.v1`.
+    #[schemars(extend("const" = "evaluation.v1"))]
+    pub schema: String,
+    /// SHA-256 over everything that the output depends on.
+    pub fingerprint: String,
+    /// The program that wrote it.
+    pub software: Software,
+    /// The dataset's manifest.
+    pub dataset: Digest,
+    /// `train`, `val`, `test` or `all`.
+    pub split: String,
+    /// The task.
+    pub rl: RlConfig,
+    /// How policies were judged.
+    pub evaluate: EvaluateConfig,
+}
+
+impl EvaluationManifest {
+    /// The value of `schema`.
+    pub const SCHEMA: &'static str = "evaluation.v1";
+}

@@ -1,0 +1,235 @@
+//! Episodes of training: flights that begin at random free cells, many at a time.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::cell::{Actions, Cell};
+use super::flight::{fly, reward};
+use super::random::Random;
+use super::sight::{ActionSet, Sight};
+use super::world::World;
+
+/// What an action came to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outcome {
+    /// The reward, eqn:reward.
+    pub reward: f32,
+    /// A coverage hole is found: the state after it has no value.
+    pub terminal: bool,
+    /// The time limit is reached: the state after it keeps its value.
+    pub truncated: bool,
+}
+
+/// One episode after another, on maps drawn at random. The n-th episode of a slot is a function of seed, slot and n alone.
+#[derive(Debug)]
+struct Slot {
+    number: u64,
+    episodes: u64,
+    map: usize,
+    visited: Vec<Cell>,
+    permissible: ActionSet,
+}
+
+/// Many episodes at a time over a pool of maps; actions in, rewards out.
+#[derive(Debug)]
+pub struct Environment {
+    seed: u64,
+    max_steps: usize,
+    sight: Sight,
+    maps: Vec<Arc<World>>,
+    /// Free cells that are no holes, for each map: where episodes begin.
+    starts: Vec<Vec<Cell>>,
+    slots: Vec<Slot>,
+}
+
+/// There is nowhere to begin.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error("none of {maps} maps has both a coverage hole and a covered free cell: nothing to learn")]
+pub struct NothingToLearn {
+    /// Number of maps.
+    pub maps: usize,
+}
+
+impl crate::error::HasFault for NothingToLearn {
+    fn fault(&self) -> crate::error::Fault {
+        crate::error::Fault::Input
+    }
+}
+
+impl Environment {
+    /// `slots` episodes at a time. Maps without a hole or without a covered free cell are left out.
+    ///
+    /// # Errors
+    /// If no map is left.
+    pub fn new(
+        maps: &[Arc<World>],
+        slots: usize,
+        max_steps: u32,
+        seed: u64,
+    ) -> Result<Self, NothingToLearn> {
+        let covered = |map: &World| -> Vec<Cell> {
+            map.free_cells().into_iter().filter(|&cell| !map.is_hole(cell)).collect()
+        };
+        let usable = maps.iter().filter(|map| !map.holes().is_empty());
+        let usable = usable.map(|map| (Arc::clone(map), covered(map)));
+        let (maps_left, starts): (Vec<_>, Vec<_>) =
+            usable.filter(|(_, starts)| !starts.is_empty()).unzip();
+        let Some(first) = maps_left.first() else {
+            return Err(NothingToLearn { maps: maps.len() });
+        };
+        let sight = Sight::new(first.reach() as u32);
+        let slots = (0..slots as u64).map(|number| Slot {
+            number,
+            episodes: 0,
+            map: 0,
+            visited: Vec::new(),
+            permissible: sight.empty(),
+        });
+        let slots = slots.collect();
+        let max_steps = max_steps as usize;
+        let mut environment = Self { seed, max_steps, sight, maps: maps_left, starts, slots };
+        let Self { slots, sight, maps, starts, .. } = &mut environment;
+        slots.iter_mut().for_each(|slot| slot.begin(seed, sight, maps, starts));
+        Ok(environment)
+    }
+
+    /// The actions.
+    #[must_use]
+    pub fn actions(&self) -> Actions {
+        self.sight.actions()
+    }
+
+    /// Episodes at a time.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// Whether there are no episodes.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.slots.is_empty()
+    }
+
+    /// Map and visited cells of an episode, the start first.
+    #[must_use]
+    pub fn state(&self, slot: usize) -> (&Arc<World>, &[Cell]) {
+        let slot = &self.slots[slot];
+        (&self.maps[slot.map], &slot.visited)
+    }
+
+    /// Where the next step of an episode may lead.
+    #[must_use]
+    pub fn permissible(&self, slot: usize) -> &ActionSet {
+        &self.slots[slot].permissible
+    }
+
+    /// One step of all episodes, in parallel. Those that end begin anew at once: the state is
+    /// then that of the next episode.
+    ///
+    /// # Panics
+    /// If there is not an action for each episode, or one has no such number.
+    pub fn step(&mut self, actions: &[usize]) -> Vec<Outcome> {
+        assert_eq!(actions.len(), self.slots.len(), "an action for each episode");
+        let Self { seed, max_steps, sight, maps, starts, slots } = self;
+        slots
+            .par_iter_mut()
+            .zip(actions)
+            .with_min_len(64)
+            .map(|(slot, &action)| slot.step(action, *seed, *max_steps, sight, maps, starts))
+            .collect()
+    }
+}
+
+impl Slot {
+    fn begin(&mut self, seed: u64, sight: &Sight, maps: &[Arc<World>], starts: &[Vec<Cell>]) {
+        let mut random = Random::keyed(&[seed, self.number, self.episodes]);
+        self.episodes += 1;
+        self.map = random.below(maps.len());
+        let from = &starts[self.map];
+        let start = from[random.below(from.len())];
+        self.visited.clear();
+        self.visited.push(start);
+        sight.permissible_into(&maps[self.map], start, &mut self.permissible);
+    }
+
+    fn step(
+        &mut self,
+        action: usize,
+        seed: u64,
+        max_steps: usize,
+        sight: &Sight,
+        maps: &[Arc<World>],
+        starts: &[Vec<Cell>],
+    ) -> Outcome {
+        let world = &*maps[self.map];
+        let from = *self.visited.last().expect("an episode has a start");
+        let waypoint = from + sight.actions().offset(action);
+        let (position, permissible) =
+            fly(sight, &self.permissible, from.center(), waypoint.center(), |_| true);
+        let cell = Cell::at(position);
+        self.visited.push(cell);
+        let terminal = world.is_hole(cell);
+        let truncated = !terminal && self.visited.len() > max_steps;
+        if terminal || truncated {
+            self.begin(seed, sight, maps, starts);
+        } else {
+            sight.permissible_into(world, cell, &mut self.permissible);
+        }
+        Outcome { reward: reward(permissible, terminal), terminal, truncated }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl::world::tests::world;
+
+    fn environment(slots: usize) -> Environment {
+        let maps = ["...\n.#o\n...", "...\n...\n...", "ooo\nooo\nooo"];
+        let maps: Vec<_> = maps.iter().map(|map| Arc::new(world(map, 2))).collect();
+        Environment::new(&maps, slots, 3, 5).expect("the first map is usable")
+    }
+
+    /// A 5 × 5 window: 12 is to stay, 13 one to the east.
+    #[test]
+    fn episodes_end_at_holes_or_at_the_time_limit() {
+        let mut environment = environment(1);
+        let stay = |environment: &mut Environment| environment.step(&[12])[0];
+        let outcomes: Vec<Outcome> = (0..3).map(|_| stay(&mut environment)).collect();
+        assert!(outcomes.iter().all(|outcome| outcome.reward == -0.25 && !outcome.terminal));
+        assert_eq!(outcomes.iter().map(|o| o.truncated).collect::<Vec<_>>(), [false, false, true]);
+        let (_, visited) = environment.state(0);
+        assert_eq!(visited.len(), 1, "a new episode");
+
+        let mut rewards = std::collections::BTreeSet::new();
+        let mut found = 0;
+        for step in 0..2000 {
+            let outcome = environment.step(&[step * 7 % 25])[0];
+            assert!(outcome.reward != 0.0 || outcome.terminal);
+            found += usize::from(outcome.terminal);
+            rewards.insert((outcome.reward * 100.0) as i32);
+        }
+        assert_eq!(rewards.into_iter().collect::<Vec<_>>(), [-125, -25, 0]);
+        assert!(found > 20, "{found}");
+    }
+
+    #[test]
+    fn episodes_do_not_depend_on_their_number() {
+        let (mut few, mut many) = (environment(2), environment(200));
+        for step in 0..50 {
+            let actions =
+                |slots: usize| (0..slots).map(|slot| (slot + step) % 25).collect::<Vec<_>>();
+            assert_eq!(few.step(&actions(2)), many.step(&actions(200))[..2]);
+            assert_eq!(few.state(1).1, many.state(1).1);
+        }
+    }
+
+    #[test]
+    fn maps_without_a_hole_teach_nothing() {
+        let maps = [Arc::new(world("..\n..", 2)), Arc::new(world("oo\noo", 2))];
+        let error = Environment::new(&maps, 4, 3, 0).expect_err("nothing to learn");
+        assert_eq!(error, NothingToLearn { maps: 2 });
+    }
+}

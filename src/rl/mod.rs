@@ -1,0 +1,36 @@
+//! The task: a UAV over a city looks for a coverage hole.
+//!
+//! Everything of the paper but the network, on records of a dataset: what blocks a move
+//! ([`Sight`], eqn:S_prm), how a UAV moves and what that is worth ([`Flight`], Algorithm 1 and
+//! eqn:reward), what a network sees ([`Encoder`], eqn:encode_loc and eqn:encode_rsrp), episodes
+//! of training ([`Environment`]), methods without a network ([`policy`]) and the exact
+//! optimum ([`Hops`]). Nothing here needs libtorch.
+//!
+//! Positions are rows from the north and columns from the west, in cells; all randomness comes
+//! from keyed streams ([`Random`]), so nothing depends on threads.
+
+mod cell;
+mod distance;
+mod encode;
+mod env;
+mod flight;
+mod oracle;
+pub mod policy;
+mod random;
+mod sight;
+mod world;
+
+pub use cell::{Actions, Cell};
+pub use distance::neighbourhood;
+pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
+pub use env::{Environment, NothingToLearn, Outcome};
+pub use flight::{Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step};
+pub use oracle::Hops;
+pub use random::Random;
+pub use sight::{ActionSet, Sight};
+pub use world::World;
+
+#[cfg(test)]
+pub(crate) mod tests {
+    pub(crate) use super::world::tests::world;
+}
