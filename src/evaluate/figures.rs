@@ -19,27 +19,24 @@ pub(super) fn of_report(report: &Report) -> [(&'static str, LineChart); 2] {
     ]
 }
 
-/// A line for each method and number of steps. Methods that move have none for k = 0: they
-/// start where RSP or BNP do.
+/// A line for each method and number of steps; the page knows methods by `family` and steps by
+/// `variant`. Methods that move have none for k = 0: they start where RSP or BNP do.
 fn series(report: &Report, value: fn(&Score) -> Option<Interval>) -> Vec<Series> {
     let mut series = Vec::new();
     for (family, method) in report.methods.iter().enumerate() {
-        for (variant, &k) in [0].iter().chain(&report.evaluate.steps).enumerate() {
+        let steps = if method.multi_step { &report.evaluate.steps[..] } else { &[0] };
+        for (variant, &k) in steps.iter().enumerate() {
+            if method.multi_step && k == 0 {
+                continue;
+            }
             let scores = report.scores.iter().filter(|s| (s.method, s.k) == (method.name, k));
             let points = scores.filter_map(|score| {
                 let Interval { mean, low, high } = value(score)?;
                 Some(Point { x: score.starts.into(), mean, low, high })
             });
-            let points: Vec<Point> = points.collect();
-            let first_zero = variant == 0 && !method.multi_step;
-            let label = if first_zero {
-                method.title.clone()
-            } else {
-                format!("{}, k = {k}", method.title)
-            };
-            if (first_zero || k > 0) && !points.is_empty() {
-                series.push(Series { label, points, family, variant });
-            }
+            let title = &method.title;
+            let label = if k > 0 { format!("{title}, k = {k}") } else { title.clone() };
+            series.push(Series { label, points: points.collect(), family, variant });
         }
     }
     series

@@ -39,7 +39,7 @@ struct GalleryStart {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct GalleryFlight {
     method: Method,
-    path: Vec<[f64; 2]>,
+    path: Vec<[i32; 2]>,
     predicted: Vec<[f64; 2]>,
     rsrp_dbm: Vec<f32>,
     found: bool,
@@ -107,13 +107,11 @@ pub(super) fn show(
 }
 
 fn flight(truth: &World, method: Method, track: &Track) -> GalleryFlight {
-    let rounded = |points: &[[f64; 2]]| -> Vec<[f64; 2]> {
-        points.iter().map(|point| point.map(|at| decimals(at, 2))).collect()
-    };
+    let predicted = track.predicted.iter().map(|point| point.map(|at| decimals(at, 2)));
     GalleryFlight {
         method,
-        path: rounded(&track.path),
-        predicted: rounded(&track.predicted),
+        path: track.path.iter().map(|cell| [cell.row, cell.column]).collect(),
+        predicted: predicted.collect(),
         rsrp_dbm: track.rsrp_dbm.iter().map(|&level| decimals(level.into(), 1) as f32).collect(),
         found: truth.is_hole(track.cell_after(u32::MAX)),
     }

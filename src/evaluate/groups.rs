@@ -7,6 +7,9 @@ use crate::grid::TileId;
 /// Tiles at most this far from another belong to its region, in metres.
 const REGION_GAP_M: u64 = 10_000;
 
+/// Whether a share of holes belongs to a stratum.
+type Belongs = fn(f64) -> bool;
+
 /// Maps that are judged together, by their positions in the list of maps.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Members {
@@ -17,7 +20,7 @@ pub(super) struct Members {
 
 /// All groups that have a map: first by share of holes, then by region.
 pub(super) fn groups(ids: &[TileId], hole_shares: &[f64]) -> Vec<Members> {
-    let strata: [(&str, fn(f64) -> bool); 5] = [
+    let strata: [(&str, Belongs); 5] = [
         ("no holes", |share| share == 0.0),
         ("below 10 %", |share| share > 0.0 && share < 0.1),
         ("10 to 20 %", |share| (0.1..0.2).contains(&share)),

@@ -188,7 +188,7 @@ mod tests {
     use crate::rl::tests::world;
 
     fn track(cells: &[(i32, i32)]) -> Track {
-        let path: Vec<[f64; 2]> = cells.iter().map(|&(r, c)| Cell::new(r, c).center()).collect();
+        let path = cells.iter().map(|&(row, column)| Cell::new(row, column)).collect();
         Track { predicted: vec![], rsrp_dbm: vec![], blocked: 0, path }
     }
 

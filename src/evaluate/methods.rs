@@ -33,7 +33,8 @@ pub(super) fn info(method: Method, config: &EvaluateConfig) -> MethodInfo {
     let descent = |positions: &str| {
         format!("Gradient descent of the coverage map{smoothing} at rate {rate}, {positions}.")
     };
-    let (on_grid, between) = ("rounded to grid positions", "keeping positions between cells");
+    let (on_grid, between) =
+        ("rounded to grid positions", "carrying what rounding leaves over to the next step");
     let bounded = |metres: u16, positions: &str| {
         let descent = descent(positions);
         format!("{descent} Starts and stays within {metres} m of a wall.")

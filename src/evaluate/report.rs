@@ -25,8 +25,6 @@ pub struct Interval {
 pub struct DatasetUsed {
     /// SHA-256 of its manifest.
     pub sha256: String,
-    /// Size of its manifest.
-    pub bytes: u64,
     /// Attributions that must stay with everything made of it.
     pub attribution: Vec<String>,
     /// Licences, as SPDX identifiers.
@@ -40,7 +38,6 @@ impl DatasetUsed {
         let manifest = dataset.manifest();
         Self {
             sha256: dataset.digest().sha256.clone(),
-            bytes: dataset.digest().bytes,
             attribution: vec![manifest.attribution.clone()],
             licences: vec![manifest.licence.clone()],
         }
@@ -108,6 +105,8 @@ pub struct Score {
     pub k: u32,
     /// Starts on each map (`N_sam`); a map with fewer cells to start from uses all it has.
     pub starts: u32,
+    /// Maps that have a cell to start from.
+    pub maps: u64,
     /// Share of the predicted cells that are holes.
     pub precision: Option<Interval>,
     /// Share of a map's holes that are among the predicted cells.

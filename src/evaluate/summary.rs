@@ -56,7 +56,9 @@ impl Results<'_> {
                     let mean = |value| bootstrap.mean(&self.values(at, k_at, count, value));
                     let recall_with_indoor = mean(|score| score.recall_with_indoor);
                     let (precision, recall) = (mean(PRECISION), mean(RECALL));
-                    Score { method, k, starts, precision, recall, recall_with_indoor }
+                    let judged = self.values(at, k_at, count, PRECISION);
+                    let maps = judged.iter().flatten().count() as u64;
+                    Score { method, k, starts, maps, precision, recall, recall_with_indoor }
                 })
             })
             .collect()

@@ -6,8 +6,8 @@ use crate::rl::{Cell, Flight, Random, Sight, World};
 /// One flight from its start to its end.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Track {
-    /// Positions in cells, the start first.
-    pub(super) path: Vec<[f64; 2]>,
+    /// The cells whose centres it flew to, the start first.
+    pub(super) path: Vec<Cell>,
     /// The waypoints that were predicted, one for each step.
     pub(super) predicted: Vec<[f64; 2]>,
     /// Levels measured on the path, in dBm.
@@ -19,7 +19,7 @@ pub(super) struct Track {
 impl Track {
     /// The prediction after at most k steps.
     pub(super) fn cell_after(&self, k: u32) -> Cell {
-        Cell::at(self.path[(k as usize).min(self.path.len() - 1)])
+        self.path[(k as usize).min(self.path.len() - 1)]
     }
 
     /// Steps made.
@@ -29,8 +29,8 @@ impl Track {
 
     /// Length of the path, in cells.
     pub(super) fn length(&self) -> f64 {
-        let pairs = self.path.windows(2);
-        pairs.map(|ends| libm::hypot(ends[1][0] - ends[0][0], ends[1][1] - ends[0][1])).sum()
+        let steps = self.path.windows(2).map(|ends| ends[1] - ends[0]);
+        steps.map(|by| libm::hypot(by.row.into(), by.column.into())).sum()
     }
 }
 
@@ -62,7 +62,7 @@ pub(super) fn fly(
     let mut tracks: Vec<Track> = flights
         .iter()
         .map(|flight| Track {
-            path: vec![flight.position()],
+            path: vec![flight.cell()],
             predicted: Vec::new(),
             rsrp_dbm: flight.measurements().iter().map(|measured| measured.rsrp_dbm).collect(),
             blocked: 0,
@@ -81,7 +81,7 @@ pub(super) fn fly(
         for (&at, waypoint) in under_way.iter().zip(waypoints) {
             let (flight, track) = (&mut flights[at], &mut tracks[at]);
             let step = flight.step(waypoint, policy.keeps_fraction(), |cell| policy.allows(cell));
-            track.path.push(flight.position());
+            track.path.push(flight.cell());
             track.predicted.push(waypoint);
             track.rsrp_dbm.extend(flight.measurements().last().map(|last| last.rsrp_dbm));
             track.blocked += u64::from(!step.permissible);

@@ -13,7 +13,7 @@ use super::world::World;
 /// What an action came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outcome {
-    /// The reward, eqn:reward.
+    /// The reward, `eqn:reward`.
     pub reward: f32,
     /// A coverage hole is found: the state after it has no value.
     pub terminal: bool,
@@ -90,7 +90,9 @@ impl Environment {
         let max_steps = max_steps as usize;
         let mut environment = Self { seed, max_steps, sight, maps: maps_left, starts, slots };
         let Self { slots, sight, maps, starts, .. } = &mut environment;
-        slots.iter_mut().for_each(|slot| slot.begin(seed, sight, maps, starts));
+        for slot in slots {
+            slot.begin(seed, sight, maps, starts);
+        }
         Ok(environment)
     }
 

@@ -4,7 +4,7 @@ use super::cell::Cell;
 use super::sight::{ActionSet, Sight};
 use super::world::World;
 
-/// Reward for a coverage hole, eqn:reward.
+/// Reward for a coverage hole, `eqn:reward`.
 pub const REWARD_HOLE: f32 = 0.0;
 /// Reward for predicting a waypoint that is not permissible.
 pub const REWARD_BLOCKED: f32 = -1.25;
@@ -25,7 +25,7 @@ pub struct Measurement {
 pub struct Step {
     /// Whether the predicted waypoint was permissible; if not, the UAV was pulled back.
     pub permissible: bool,
-    /// The reward, eqn:reward.
+    /// The reward, `eqn:reward`.
     pub reward: f32,
 }
 
@@ -80,7 +80,8 @@ impl<'a> Flight<'a> {
         self.sight
     }
 
-    /// Where it is, in cells; the centre of [`Flight::cell`] unless positions between cells are kept.
+    /// Where a policy takes it to be, in cells: the centre of [`Flight::cell`], or with positions
+    /// between cells kept, that and what rounding to cells has left over.
     #[must_use]
     pub fn position(&self) -> [f64; 2] {
         self.position
@@ -120,8 +121,9 @@ impl<'a> Flight<'a> {
 
     /// Flies towards a waypoint (in cells): to it if it is permissible, else to the farthest
     /// permissible point on the way, and measures there. `within` narrows the permissible set
-    /// further, for methods that must not leave a neighbourhood; `keep_fraction` keeps positions
-    /// between cells, otherwise the UAV stops at the centre of a cell.
+    /// further, for methods that must not leave a neighbourhood. A UAV always flies from centre to
+    /// centre of cells; `keep_fraction` carries what rounding to cells leaves over to the next
+    /// step, so that small moves add up.
     pub fn step(
         &mut self,
         waypoint: [f64; 2],
@@ -155,7 +157,7 @@ pub(super) fn fly(
     (position, allowed(Cell::at(waypoint)))
 }
 
-/// eqn:reward, the order of its cases made explicit: a waypoint that is not permissible costs
+/// `eqn:reward`, the order of its cases made explicit: a waypoint that is not permissible costs
 /// 1.25 wherever the UAV is pulled back to, since the level at the waypoint is never measured.
 pub(super) fn reward(permissible: bool, hole: bool) -> f32 {
     match (permissible, hole) {

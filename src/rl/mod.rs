@@ -1,8 +1,8 @@
 //! The task: a UAV over a city looks for a coverage hole.
 //!
 //! Everything of the paper but the network, on records of a dataset: what blocks a move
-//! ([`Sight`], eqn:S_prm), how a UAV moves and what that is worth ([`Flight`], Algorithm 1 and
-//! eqn:reward), what a network sees ([`Encoder`], eqn:encode_loc and eqn:encode_rsrp), episodes
+//! ([`Sight`], `eqn:S_prm`), how a UAV moves and what that is worth ([`Flight`], Algorithm 1 and
+//! `eqn:reward`), what a network sees ([`Encoder`], `eqn:encode_loc` and `eqn:encode_rsrp`), episodes
 //! of training ([`Environment`]), methods without a network ([`policy`]) and the exact
 //! optimum ([`Hops`]). Nothing here needs libtorch.
 //!

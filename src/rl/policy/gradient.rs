@@ -1,4 +1,4 @@
-//! G-RSP and G-BNP: descent of the coverage map, eqn:grsp_update.
+//! G-RSP and G-BNP: descent of the coverage map, `eqn:grsp_update`.
 //!
 //! They are bounds in the paper's sense, not methods: a UAV cannot measure a gradient.
 
@@ -25,8 +25,8 @@ pub struct DescentStyle {
     pub rate: f64,
     /// Standard deviation of the Gaussian that smooths the levels first, in cells; 0 for none.
     pub smoothing_cells: f64,
-    /// Keep positions between cells. On grid positions and at rate 1, a gradient below half a dB
-    /// per cell rounds to no move at all.
+    /// Carry what rounding to cells leaves over to the next step. Without it, at rate 1, a gradient
+    /// below half a dB per cell is no move at all, however often.
     pub keep_fraction: bool,
 }
 
@@ -42,7 +42,9 @@ impl Descent {
         let levels = smoothed(cells, &levels, &free, style.smoothing_cells);
         let within = neighbourhood.map(|neighbourhood| {
             let mut within = vec![false; cells * cells];
-            neighbourhood.iter().for_each(|&cell| within[known.index(cell)] = true);
+            for &cell in neighbourhood {
+                within[known.index(cell)] = true;
+            }
             within
         });
         Self {
@@ -157,7 +159,7 @@ mod tests {
         assert_eq!(gradient[4..7], [[0.0, -4.0], [0.0, -6.0], [0.0, -8.0]]);
     }
 
-    /// eqn:grsp_update by hand: 20 dB per cell to the east at column 1.
+    /// `eqn:grsp_update` by hand: 20 dB per cell to the east at column 1.
     #[test]
     fn descent_leads_to_the_weaker_side() {
         let (map, sight) = (world("..o.\n..o.\n..o.\n....", 3), Sight::new(3));

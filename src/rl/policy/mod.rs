@@ -48,7 +48,7 @@ pub trait Policy: Sync {
     /// The next waypoint of each flight, row and column in cells; it need not be permissible.
     fn predict(&self, views: &mut [View<'_, '_>]) -> Vec<[f64; 2]>;
 
-    /// Whether positions between cells are kept from one step to the next.
+    /// Whether what rounding to cells leaves over is carried to the next step.
     fn keeps_fraction(&self) -> bool {
         false
     }

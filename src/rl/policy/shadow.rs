@@ -28,7 +28,9 @@ impl ShadowSeeker {
         let hidden: Vec<Cell> =
             known.free_cells().into_iter().filter(|&cell| is_hidden(known, cell)).collect();
         let mut in_shadow = vec![false; known.cells() * known.cells()];
-        hidden.iter().for_each(|&cell| in_shadow[known.index(cell)] = true);
+        for &cell in &hidden {
+            in_shadow[known.index(cell)] = true;
+        }
         Self { shadows: hidden, in_shadow, cells: known.cells() }
     }
 

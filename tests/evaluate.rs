@@ -1,0 +1,219 @@
+//! `holescout evaluate` on the fixtures: figures that follow from the rules of the task, the same
+//! bytes at any number of threads, refusals that say what to do.
+#![allow(clippy::panic, reason = "helpers of tests fail by panicking")]
+
+mod pipeline;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+
+use serde_json::Value;
+
+use pipeline::{
+    HELSINKI, assert_same_files, assert_says, copy_of, holescout, read, read_json, run, shared_dir,
+    temporary_dir, tree, verify, write,
+};
+
+const FILES: [&str; 11] = [
+    "NOTICE",
+    "SHA256SUMS",
+    "manifest.json",
+    "maps.csv",
+    "precision.png",
+    "precision.svg",
+    "recall.png",
+    "recall.svg",
+    "report.html",
+    "report.json",
+    "scores.csv",
+];
+
+/// `evaluate` of all fixtures.
+fn evaluate(out: &Path, options: &[&str]) -> Command {
+    let mut command = holescout("evaluate");
+    command.arg("--dataset").arg(&HELSINKI.dataset).arg("--out").arg(out);
+    command.args(["--split", "all"]).args(options);
+    command
+}
+
+/// What makes it fast enough for a test.
+const SMALL: [&str; 4] = ["--starts", "30", "--bootstrap", "200"];
+
+/// The evaluation of all fixtures, run once.
+static EVALUATION: LazyLock<PathBuf> = LazyLock::new(|| {
+    let out = shared_dir("evaluation").join("out");
+    run(&mut evaluate(&out, &SMALL)).succeeds();
+    out
+});
+
+fn report(out: &Path) -> Value {
+    read_json(&out.join("report.json"))
+}
+
+/// Means by method, k and starts.
+type Means = BTreeMap<(String, u64, u64), f64>;
+
+fn means(report: &Value, measure: &str) -> Means {
+    let scores = report["scores"].as_array().expect("scores");
+    let key = |score: &Value| {
+        let number = |name: &str| score[name].as_u64().expect("a number");
+        (score["method"].as_str().expect("a name").to_owned(), number("k"), number("starts"))
+    };
+    let scores = scores.iter().filter(|score| !score[measure].is_null());
+    scores.map(|score| (key(score), score[measure]["mean"].as_f64().expect("a mean"))).collect()
+}
+
+#[test]
+fn an_evaluation_is_whole_and_verifies() {
+    let names: Vec<String> = tree(&EVALUATION).into_keys().collect();
+    assert_eq!(names, FILES);
+    assert_says(&run(&mut verify(&EVALUATION)).succeeds(), &["sound", "10 files"]);
+    let (_dir, copy, _) = copy_of(&EVALUATION);
+    write(&copy.join("scores.csv"), "method\n");
+    assert_says(&run(&mut verify(&copy)).refused(), &["scores.csv", "SHA-256"]);
+}
+
+#[test]
+fn figures_follow_the_rules_of_the_task() {
+    let report = report(&EVALUATION);
+    let starts = 30;
+    for measure in ["precision", "recall", "recall_with_indoor"] {
+        let means = means(&report, measure);
+        assert!(means.len() > 100, "{}", means.len());
+        for ((method, k, n), &mean) in &means {
+            assert!((0.0..=1.0).contains(&mean), "{measure} of {method}");
+            if measure != "precision" {
+                for ((other, other_k, fewer), &less) in &means {
+                    let same = (other, other_k) == (method, k);
+                    assert!(!same || fewer > n || less <= mean, "{measure} of {method} from {n}");
+                }
+            }
+        }
+    }
+    let precision = means(&report, "precision");
+    let at = |method: &str, k| precision[&(method.to_owned(), k, starts)];
+    for method in ["g-rsp", "g-rsp-continuous", "shadow", "random-walk", "wall-walk", "oracle"] {
+        assert_eq!(at(method, 0), at("rsp", 0), "the same starts");
+        for (k, more) in [(0, 1), (1, 2), (2, 4), (4, 8)] {
+            assert!(at(method, k) <= at(method, more), "{method}: who found a hole stays there");
+            assert!(at(method, k) <= at("oracle", k), "{method} beats the oracle at k = {k}");
+        }
+    }
+    assert!(at("oracle", 1) > at("rsp", 0), "an oracle that does not move");
+    assert_eq!(at("g-bnp-8", 0), at("bnp-8", 0));
+}
+
+#[test]
+fn intervals_hold_their_means_and_flights_add_up() {
+    let report = report(&EVALUATION);
+    let mut intervals = 0;
+    let mut pending = vec![&report];
+    while let Some(value) = pending.pop() {
+        if let (Some(mean), Some(low), Some(high)) =
+            (value["mean"].as_f64(), value["low"].as_f64(), value["high"].as_f64())
+        {
+            assert!(low <= mean && mean <= high, "{value}");
+            intervals += 1;
+        }
+        match value {
+            Value::Array(values) => pending.extend(values),
+            Value::Object(values) => pending.extend(values.values()),
+            _ => {}
+        }
+    }
+    assert!(intervals > 1000, "{intervals}");
+
+    let maps = report["maps"]["evaluated"].as_u64().expect("a number");
+    for flights in report["flights"].as_array().expect("flights") {
+        let found = flights["found_after"].as_array().expect("counts").iter();
+        let found: u64 = found.map(|count| count.as_u64().expect("a count")).sum();
+        let not_found = flights["not_found"].as_u64().expect("a count");
+        assert_eq!(found + not_found, maps * 30, "{flights}");
+    }
+    let difficulty = &report["difficulty"];
+    let by_hops = difficulty["cells_by_hops"].as_array().expect("counts").iter();
+    let reached: u64 = by_hops.map(|count| count.as_u64().expect("a count")).sum();
+    let cells = reached + difficulty["unreachable"].as_u64().expect("a count");
+    assert_eq!(Some(cells), report["maps"]["outdoor_cells"].as_u64());
+    assert_eq!(difficulty["cells_by_hops"][0], report["maps"]["hole_cells"]);
+}
+
+#[test]
+fn threads_do_not_matter() {
+    for threads in ["1", "2", "8"] {
+        let dir = temporary_dir();
+        let out = dir.path().join("out");
+        run(evaluate(&out, &SMALL).args(["--threads", threads])).succeeds();
+        assert_same_files(&tree(&out), &tree(&EVALUATION));
+    }
+}
+
+#[test]
+fn seeds_noise_and_stale_maps_matter_where_they_should() {
+    let dir = temporary_dir();
+    let precision = |options: &[&str]| {
+        let out = dir.path().join("out");
+        let options =
+            [&["--overwrite", "--methods", "rsp,wall-walk,g-rsp,oracle"], options].concat();
+        run(&mut evaluate(&out, &options)).succeeds();
+        let precision = means(&report(&out), "precision");
+        move |method: &str| precision[&(method.to_owned(), if method == "rsp" { 0 } else { 4 }, 30)]
+    };
+    let plain = precision(&[]);
+    let seeded = precision(&["--seed", "1"]);
+    assert_ne!(plain("rsp"), seeded("rsp"));
+    // The oracle and the starts know the truth; the others measure with an error of 20 dB.
+    let noisy = precision(&["--noise", "20"]);
+    assert_eq!((noisy("rsp"), noisy("oracle")), (plain("rsp"), plain("oracle")));
+    assert!(noisy("g-rsp") < plain("g-rsp"), "false alarms end flights early");
+    // Without any stored building there are no walls to walk along.
+    let stale = precision(&["--stale", "1"]);
+    assert_eq!((stale("rsp"), stale("oracle")), (plain("rsp"), plain("oracle")));
+    assert_ne!(stale("wall-walk"), plain("wall-walk"));
+}
+
+#[test]
+fn the_page_needs_no_network_and_names_the_licence() {
+    let page = String::from_utf8(read(&EVALUATION.join("report.html"))).expect("UTF-8");
+    for foreign in ["src=\"http", "href=\"http", "@import", "url(http", "fetch(", "{{"] {
+        assert!(!page.contains(foreign), "{foreign}");
+    }
+    assert_says(&page, &["OpenStreetMap", "ODbL"]);
+    let notice = String::from_utf8(read(&EVALUATION.join("NOTICE"))).expect("UTF-8");
+    assert_says(&notice, &["OpenStreetMap", "ODbL"]);
+}
+
+#[test]
+fn what_cannot_be_evaluated_is_refused_with_the_mend() {
+    let dir = temporary_dir();
+    let out = dir.path().join("out");
+    let mut test_split = holescout("evaluate");
+    test_split.arg("--dataset").arg(&HELSINKI.dataset).arg("--out").arg(&out);
+    assert_says(&run(&mut test_split).refused(), &["test", "no records", "train, val"]);
+    assert!(!out.exists(), "nothing is left");
+
+    let mut tiles = holescout("evaluate");
+    tiles.arg("--dataset").arg(&HELSINKI.tiles).arg("--out").arg(&out);
+    assert_says(&run(&mut tiles).refused(), &["tiles.v1", "holescout shard"]);
+
+    let unknown = run(&mut evaluate(&out, &["--methods", "rsp,psr"]));
+    assert_eq!(unknown.code, Some(2), "{unknown:?}");
+    assert_says(&unknown.stderr, &["psr", "random-walk"]);
+
+    for (flag, value, key) in [
+        ("--steps", "2,1", "evaluate.steps"),
+        ("--stale", "1.5", "evaluate.stale_share"),
+        ("--starts", "0", "evaluate.starts"),
+        ("--reach", "40", "rl.reach_cells"),
+        ("--threshold", "5", "rl.hole_threshold_dbm"),
+        ("--methods", "rsp,rsp", "evaluate.methods"),
+    ] {
+        let refused = run(&mut evaluate(&out, &[flag, value])).refused();
+        assert_says(&refused, &[key, "expected"]);
+    }
+
+    let occupied = run(&mut evaluate(&EVALUATION, &["--seed", "9"])).refused();
+    assert_says(&occupied, &["--overwrite"]);
+}
