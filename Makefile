@@ -2,6 +2,7 @@
 #
 #   make dataset                 the fixtures, into build/helsinki/dataset
 #   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
+#   make evaluate [SPLIT=val]    all methods on the dataset: OUT/evaluation/SPLIT/report.html
 #   make test                    everything that needs no large data
 #   make test-real DATA=dir      against GDAL, PROJ and whole cities
 #
@@ -17,7 +18,10 @@ OSM ?= $(FIXTURE)/helsinki.osm.pbf
 RSRP ?= $(FIXTURE)/rsrp
 OUT ?= build/$(firstword $(subst ., ,$(notdir $(firstword $(OSM)))))
 CONFIG ?= $(if $(filter $(FIXTURE)/%,$(OSM)),$(FIXTURE)/holescout.toml)
+# The fixtures are too small for a test split.
+SPLIT ?= $(if $(filter $(FIXTURE)/%,$(OSM)),all,test)
 DATA ?= ../shared/data
+CHROMIUM ?= $(or $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),/usr/bin/chromium)
 
 BIN := target/release/holescout
 VENV := .venv
@@ -28,7 +32,7 @@ RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,8s/^# *//p' Makefile
+	@sed -n '3,9s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
@@ -50,6 +54,15 @@ $(OUT)/dataset/manifest.json: $(OUT)/rsrp/manifest.json
 
 $(OUT)/.verified: $(OUT)/dataset/manifest.json
 	$(BIN) verify $(OUT)/dataset
+	@touch $@
+
+# Precision and recall of all methods on a split, with a report to look at.
+.PHONY: evaluate
+evaluate: $(OUT)/evaluation/$(SPLIT)/manifest.json
+	@echo "report: $(<D)/report.html"
+
+$(OUT)/evaluation/$(SPLIT)/manifest.json: $(OUT)/.verified
+	$(RUN) evaluate --dataset $(OUT)/dataset --split $(SPLIT) --out $(@D) --overwrite
 	@touch $@
 
 # Other file names are other inputs, though no file became newer.
@@ -104,8 +117,24 @@ schema-check: $(BIN)
 	$(BIN) schemas --out schemas --check
 
 .PHONY: test
-test: | tools
+test: test-rust test-report
+
+.PHONY: test-rust
+test-rust: | tools
 	cargo test --locked
+
+# The report of an evaluation in a real browser.
+.PHONY: test-report
+test-report: dataset $(VENV)/.installed | browser
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset CHROMIUM=$(CHROMIUM) \
+	  $(PYTHON) -m pytest -q tests/report
+
+.PHONY: browser
+browser:
+	@test -x '$(CHROMIUM)' || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -qqy --no-install-recommends chromium; \
+	  else echo "Chromium is missing: install it, or set CHROMIUM to its path" >&2; exit 1; fi; }
 
 # Fails, and does not pass, where the data are missing.
 .PHONY: test-real
@@ -115,17 +144,21 @@ test-real: $(BIN) $(VENV)/.installed
 	$(PYTHON) fixtures/geometry/make_pbf.py --check
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 
-$(VENV)/.installed: $(REAL)/requirements.txt
+$(VENV)/.installed: $(REAL)/requirements.txt tests/report/requirements.txt
 	python3 -m venv $(VENV) || { \
 	  [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
 	  apt-get update -qq && apt-get install -qqy --no-install-recommends python3-venv && \
 	  python3 -m venv $(VENV); }
-	$(VENV)/bin/pip install -q -r $(REAL)/requirements.txt
+	$(VENV)/bin/pip install -q $(addprefix -r ,$^)
 	@touch $@
 
 .PHONY: bench
-bench: $(BIN) $(VENV)/.installed
+bench: $(BIN) dataset $(VENV)/.installed
 	cargo bench --locked --bench stages -- $(abspath $(DATA))/osm/sanjose_buildings.osm.pbf
+	HOLESCOUT_DATASET=$(abspath $(OUT))/dataset cargo bench --locked --bench task
+	cargo build --release --locked --example encode_states
+	HOLESCOUT_DATASET=$(abspath $(OUT))/dataset ENCODE_STATES=$(abspath target/release/examples/encode_states) \
+	  $(PYTHON) benches/encode_vs_numpy.py
 	$(VENV)/bin/pip install -q -r benches/requirements.txt
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) benches/rasterise_vs_peers.py
 

@@ -11,7 +11,7 @@ mod common;
 use std::ffi::OsString;
 use std::path::Path;
 
-use holescout::config::{Config, HeightDownsampling, RsrpDownsampling};
+use holescout::config::{Config, HeightDownsampling, Method, RsrpDownsampling};
 use holescout::units::Dbm;
 
 use common::{files, fixture, read, run, scratch, write};
@@ -49,6 +49,15 @@ order_seed = 9007199254740993
 block_m = 2048
 strict = true
 
+[rl]
+hole_threshold_dbm = -95.0
+reach_cells = 10
+
+[evaluate]
+methods = ["rsp", "bnp-12", "g-bnp-12-continuous"]
+steps = [0, 3]
+gradient_smoothing_cells = 1.5
+
 [[split.areas]]
 name = "harbour"
 split = "test"
@@ -78,7 +87,15 @@ fn the_defaults_are_those_of_the_paper() {
     assert_eq!(config.shard.record_cells(grid), 121);
     assert_eq!(config.shard.cell_m(grid), 4.0);
     assert_eq!(config.buildings.flight_height_m, 2.0);
-    // DESIGN.md, where the paper is silent.
+    // Threshold, l and c of the same section; rate and d_B of "Baseline Non-ML Approaches".
+    assert_eq!((config.rl.hole_threshold_dbm, config.rl.flight_height_m), (Dbm(-100.0), 2.0));
+    assert_eq!((config.rl.reach_cells, config.rl.encoding_decay), (15, 0.1));
+    assert_eq!(config.evaluate.gradient_rate, 1.0);
+    for method in ["rsp", "bnp-8", "bnp-16", "bnp-32", "g-rsp", "g-bnp-8"] {
+        let method = method.parse().expect("a method");
+        assert!(config.evaluate.methods.contains(&method), "{method}");
+    }
+    // Where the paper is silent.
     assert!(config.buildings.parts);
     assert_eq!(config.buildings.level_height_m, 3.0);
     assert_eq!(config.buildings.max_height_m, 1000.0);
@@ -139,6 +156,47 @@ fn flags_override_the_file_and_leave_the_rest() {
     expected.buildings.default_height_m = 7.0;
     expected.filter.min_buildings = 0;
     expected.filter.min_built = 0.5;
+    assert_eq!(parsed(&printed(&flags)), expected);
+}
+
+#[test]
+fn flags_of_the_evaluation_override_too() {
+    let flags = args![
+        "--threshold",
+        "-90",
+        "--flight-height",
+        "5",
+        "--reach",
+        "7",
+        "--methods",
+        "oracle,bnp-4",
+        "--starts",
+        "9",
+        "--steps",
+        "1,3",
+        "--seed",
+        "4",
+        "--bootstrap",
+        "123",
+        "--gradient-rate",
+        "2",
+        "--gradient-smoothing",
+        "3",
+        "--noise",
+        "6",
+        "--stale",
+        "0.25",
+    ];
+    let mut expected = Config::default();
+    expected.rl.hole_threshold_dbm = Dbm(-90.0);
+    expected.rl.flight_height_m = 5.0;
+    expected.rl.reach_cells = 7;
+    let evaluate = &mut expected.evaluate;
+    evaluate.methods = vec![Method::Oracle, Method::Neighbourhood(4)];
+    (evaluate.starts, evaluate.steps, evaluate.seed) = (9, vec![1, 3], 4);
+    (evaluate.bootstrap, evaluate.gradient_rate) = (123, 2.0);
+    (evaluate.gradient_smoothing_cells, evaluate.noise_db) = (3.0, 6.0);
+    evaluate.stale_share = 0.25;
     assert_eq!(parsed(&printed(&flags)), expected);
 }
 

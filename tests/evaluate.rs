@@ -155,9 +155,8 @@ fn seeds_noise_and_stale_maps_matter_where_they_should() {
     let dir = temporary_dir();
     let precision = |options: &[&str]| {
         let out = dir.path().join("out");
-        let options =
-            [&["--overwrite", "--methods", "rsp,wall-walk,g-rsp,oracle"], options].concat();
-        run(&mut evaluate(&out, &options)).succeeds();
+        let methods = ["--overwrite", "--methods", "rsp,wall-walk,g-rsp,oracle"];
+        run(evaluate(&out, &SMALL).args(methods).args(options)).succeeds();
         let precision = means(&report(&out), "precision");
         move |method: &str| precision[&(method.to_owned(), if method == "rsp" { 0 } else { 4 }, 30)]
     };

@@ -6,6 +6,7 @@ mod pipeline;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 use holescout::dataset::Record;
 use holescout::store::SeekTable;
@@ -15,7 +16,7 @@ use serde_json::{Value, json};
 use pipeline::numpy::meta_json;
 use pipeline::{
     DATASET_FILES, HELSINKI, assert_says, fixture, helsinki_config, holescout, plant, read,
-    read_json, run, temporary_dir, tree, write,
+    read_json, run, shared_dir, temporary_dir, tree, write,
 };
 
 /// The committed schemas.
@@ -49,8 +50,19 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
         ("rsrp.v1", manifest(&HELSINKI.rsrp)),
         ("record.v1", records()),
         ("dataset.v1", manifest(&HELSINKI.dataset)),
+        ("evaluation.v1", manifest(&EVALUATION)),
+        ("report.v1", vec![read_json(&EVALUATION.join("report.json"))]),
     ])
 }
+
+/// A small evaluation of the fixtures.
+static EVALUATION: LazyLock<PathBuf> = LazyLock::new(|| {
+    let out = shared_dir("schemas-evaluation").join("out");
+    let mut evaluate = holescout("evaluate");
+    evaluate.arg("--dataset").arg(&HELSINKI.dataset).arg("--out").arg(&out);
+    run(evaluate.args(["--split", "val", "--starts", "5", "--bootstrap", "100"])).succeeds();
+    out
+});
 
 fn records() -> Vec<Value> {
     let mut records = vec![];
@@ -185,6 +197,15 @@ fn tampered_values_do_not_validate() {
         ("dataset.v1", "/records/0/id", json!("utm35_e1_n2")),
         ("dataset.v1", "/shards/0/split", json!("holdout")),
         ("dataset.v1", "/schema", json!("dataset.v2")),
+        ("evaluation.v1", "/evaluate/methods/0", json!("best")),
+        ("evaluation.v1", "/rl/reach_cells", json!(-1)),
+        ("evaluation.v1", "/schema", json!("evaluation.v2")),
+        ("report.v1", "/scores/0/precision/mean", json!("high")),
+        ("report.v1", "/scores/0/method", json!("psr")),
+        ("report.v1", "/methods/0/knows", json!("everything")),
+        ("report.v1", "/groups/0/kind", json!("city")),
+        ("report.v1", "/difficulty/unreachable", json!(-1)),
+        ("report.v1", "/schema", json!("report.v2")),
     ];
     let mut unnoticed = vec![];
     for (name, path, value) in tampered {

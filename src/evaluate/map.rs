@@ -185,7 +185,7 @@ fn scores(truth: &World, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::tests::world;
+    use crate::rl::drawn_world as world;
 
     fn track(cells: &[(i32, i32)]) -> Track {
         let path = cells.iter().map(|&(row, column)| Cell::new(row, column)).collect();

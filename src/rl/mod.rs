@@ -29,8 +29,5 @@ pub use oracle::Hops;
 pub use random::Random;
 pub use sight::{ActionSet, Sight};
 pub use world::World;
-
 #[cfg(test)]
-pub(crate) mod tests {
-    pub(crate) use super::world::tests::world;
-}
+pub(crate) use world::tests::world as drawn_world;

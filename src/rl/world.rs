@@ -433,7 +433,7 @@ pub(crate) mod tests {
         }
         assert_eq!(seen.into_iter().collect::<Vec<_>>(), [0, 3, 6]);
         let nothing = world.with_stale_buildings(1.0, &mut Random::keyed(&[0]));
-        let sight = super::super::sight::Sight::new(3);
+        let sight = crate::rl::Sight::new(3);
         assert_eq!(sight.permissible(&nothing, Cell::new(0, 0)).count(), 16);
     }
 }

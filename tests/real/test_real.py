@@ -186,3 +186,28 @@ def test_tiles_are_readable_by_numpy(sanjose: Path) -> None:
     assert tile["height_m"].shape == (1080, 1080) and tile["height_m"].dtype == np.float32
     assert json.loads(bytes(tile["meta_json"]))["id"] == manifest["tiles"][0]["id"]
     assert ((tile["height_m"] > 0) == (tile["height_source"] > 0)).all()
+
+
+def test_sanjose_has_the_papers_orderings(sanjose: Path, tmp_path: Path) -> None:
+    """Section "Simulation Results" of the paper, on the test split with its defaults."""
+    summary = holescout("evaluate", "--dataset", sanjose / "dataset", "--out", tmp_path / "evaluation")
+    precision = {(score["method"], score["k"]): score["precision"]["mean"] for score in summary["scores"]}
+    assert summary["maps"]["evaluated"] >= 100
+    assert precision["bnp-8", 0] > precision["bnp-16", 0] > precision["bnp-32", 0] > precision["rsp", 0]
+    for method in ("g-rsp", "g-rsp-continuous", "g-bnp-8", "random-walk", "oracle"):
+        rising = [precision[method, k] for k in (0, 1, 2, 4, 8)]
+        assert all(less < more for less, more in zip(rising, rising[1:], strict=False)), method
+    # More is gained by the second step than by two more.
+    gain = [precision["g-rsp", b] - precision["g-rsp", a] for a, b in ((1, 2), (2, 4))]
+    assert gain[0] > gain[1]
+
+
+def test_neighbourhoods_find_no_more_than_they_hold(sanjose: Path, tmp_path: Path) -> None:
+    """The paper's recall curves: with many starts BNP ends below RSP, the lower the narrower."""
+    options = ["--methods", "rsp,bnp-32,bnp-16,bnp-8,g-bnp-8", "--starts", "20000", "--bootstrap", "100"]
+    summary = holescout("evaluate", "--dataset", sanjose / "dataset", "--out", tmp_path / "evaluation", *options)
+    recall = {(score["method"], score["k"]): score["recall"]["mean"] for score in summary["scores"]}
+    assert recall["rsp", 0] == pytest.approx(1.0), "every outdoor cell is a start"
+    assert 1.0 > recall["bnp-32", 0] > recall["bnp-16", 0] > recall["bnp-8", 0]
+    # Bound to the same cells, descent finds no other holes.
+    assert recall["g-bnp-8", 8] == pytest.approx(recall["bnp-8", 0])
