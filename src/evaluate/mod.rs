@@ -2,8 +2,8 @@
 //! lacks, and a report to look at.
 //!
 //! All methods start on the same maps, predict through the same trait and move by the same rules.
-//! Each map is evaluated by itself ([`map`]); a bootstrap over maps then gives means with
-//! intervals, paired differences and groups ([`summary`]).
+//! Each map is evaluated by itself (`map`); a bootstrap over maps then gives means with
+//! intervals, paired differences and groups (`summary`).
 
 mod bootstrap;
 mod chart;
