@@ -153,6 +153,8 @@ struct Plot {
     x_range: [f64; 2],
     y_max: f64,
     log_x: bool,
+    /// Of the bands: where those of many lines lie over each other, the lines stay visible.
+    opacity: f64,
 }
 
 impl Plot {
@@ -172,7 +174,9 @@ impl Plot {
             (true, false) => [1.0, 10.0],
         };
         let chosen = chart.y_max.filter(|y_max| y_max.is_finite() && *y_max > 0.0);
-        Self { x_range, y_max: chosen.unwrap_or_else(|| nice_ceiling(top)), log_x: chart.log_x }
+        let y_max = chosen.unwrap_or_else(|| nice_ceiling(top));
+        let opacity = (0.9 / lines.len().max(1) as f64).clamp(0.02, 0.12);
+        Self { x_range, y_max, log_x: chart.log_x, opacity }
     }
 
     fn x(&self, value: f64) -> f64 {
@@ -230,9 +234,10 @@ impl Plot {
         let lower = points.iter().rev().map(|point| self.place(point.x, point.low));
         let outline: Vec<String> = upper.chain(lower).collect();
         format!(
-            "<polygon class=\"band\" {data} points=\"{}\" fill=\"{}\" fill-opacity=\"0.09\"/>\n",
+            "<polygon class=\"band\" {data} points=\"{}\" fill=\"{}\" fill-opacity=\"{:.3}\"/>\n",
             outline.join(" "),
             color(line),
+            self.opacity,
             data = data(line),
         )
     }
