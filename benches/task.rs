@@ -84,8 +84,7 @@ fn benchmark(criterion: &mut Criterion) {
                 let (world, cell) = *next.next().expect("a cycle never ends");
                 let measured = Measurement { cell, rsrp_dbm: world.rsrp_dbm(cell) };
                 let measurements = vec![measured; visited];
-                let state = State { world, measurements: &measurements };
-                encoder.encode(state, &mut map, &mut window);
+                encoder.encode(State::new(world, &measurements), &mut map, &mut window);
                 black_box((&map, &window));
             });
         });

@@ -40,7 +40,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let (mut maps, mut windows) = (Vec::new(), Vec::new());
     for (measurements, world) in worlds.iter().take(COMPARED) {
-        encoder.encode(State { world, measurements }, &mut map, &mut window);
+        encoder.encode(State::new(world, measurements), &mut map, &mut window);
         maps.extend_from_slice(&map);
         windows.extend_from_slice(&window);
     }
@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (start, mut encoded) = (Instant::now(), 0);
     while start.elapsed() < LEAST {
         for (measurements, world) in &worlds {
-            encoder.encode(State { world, measurements }, &mut map, &mut window);
+            encoder.encode(State::new(world, measurements), &mut map, &mut window);
             std::hint::black_box((&map, &window));
         }
         encoded += worlds.len();

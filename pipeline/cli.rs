@@ -9,6 +9,8 @@ use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
+#[cfg(feature = "torch")]
+use holescout::config::TrainConfig;
 use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
@@ -55,6 +57,9 @@ pub(crate) enum Command {
     Inspect(InspectArgs),
     /// Judge methods on a dataset: precision and recall, with intervals, and a report
     Evaluate(EvaluateArgs),
+    /// Train a Q-network on a dataset by Double DQN; goes on from the last checkpoint
+    #[cfg(feature = "torch")]
+    Train(TrainArgs),
     /// Write the JSON Schemas of all file formats, or check them
     Schemas(SchemasArgs),
     /// Print the configuration, merged from defaults, file and flags
@@ -68,7 +73,12 @@ impl Command {
             Self::Rasterise(args) => args.tiles.apply(config),
             Self::ImportRsrp(args) => args.rsrp.apply(config),
             Self::Shard(args) => args.dataset.apply(config),
-            Self::Evaluate(args) => args.judging.apply(config),
+            Self::Evaluate(args) => {
+                args.judging.apply(config);
+                args.agent.apply(config);
+            }
+            #[cfg(feature = "torch")]
+            Self::Train(args) => args.training.apply(config),
             Self::Config(args) => {
                 args.tiles.apply(config);
                 args.rsrp.apply(config);
@@ -177,9 +187,47 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, value_enum, default_value_t = SplitChoice::Test)]
     pub(crate) split: SplitChoice,
     #[command(flatten)]
+    pub(crate) agent: AgentArgs,
+    #[command(flatten)]
     pub(crate) output: OutputArgs,
     #[command(flatten)]
     pub(crate) judging: JudgingFlags,
+}
+
+/// A trained policy.
+#[derive(Debug, Args)]
+pub(crate) struct AgentArgs {
+    /// A checkpoint to evaluate as the method `agent`, for instance RUN/best
+    #[cfg(feature = "torch")]
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub(crate) policy: Option<PathBuf>,
+}
+
+impl AgentArgs {
+    #[cfg_attr(not(feature = "torch"), expect(clippy::unused_self, reason = "there is no flag"))]
+    fn apply(&self, config: &mut Config) {
+        #[cfg(feature = "torch")]
+        let policy = self.policy.is_some();
+        #[cfg(not(feature = "torch"))]
+        let policy = false;
+        let methods = &mut config.evaluate.methods;
+        if policy && !methods.contains(&Method::Agent) {
+            methods.push(Method::Agent);
+        }
+    }
+}
+
+#[cfg(feature = "torch")]
+#[derive(Debug, Args)]
+pub(crate) struct TrainArgs {
+    /// A dataset with a train and a val split
+    #[arg(long, value_name = "DATASET", value_hint = ValueHint::DirPath)]
+    pub(crate) dataset: PathBuf,
+    /// Directory of the run: checkpoints, the best policy, a log
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub(crate) run: PathBuf,
+    #[command(flatten)]
+    pub(crate) training: TrainFlags,
 }
 
 /// A split of a dataset, or all of them.
@@ -392,5 +440,58 @@ impl JudgingFlags {
         set(&mut evaluate.gradient_smoothing_cells, self.gradient_smoothing.as_ref());
         set(&mut evaluate.noise_db, self.noise.as_ref());
         set(&mut evaluate.stale_share, self.stale.as_ref());
+    }
+}
+
+/// Flags for `[train]`.
+#[cfg(feature = "torch")]
+#[derive(Debug, Args)]
+pub(crate) struct TrainFlags {
+    /// Take [train] from a preset, whatever the file says: paper as published, best what works best
+    #[arg(long, value_enum, value_name = "NAME")]
+    preset: Option<Preset>,
+    /// train.updates: gradient updates of the whole run
+    #[arg(long, value_name = "N")]
+    updates: Option<u64>,
+    /// train.batch: transitions in an update
+    #[arg(long, value_name = "N")]
+    batch: Option<u32>,
+    /// train.learning_rate
+    #[arg(long, value_name = "F")]
+    learning_rate: Option<f64>,
+    /// train.seed
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// train.checkpoint_every: updates between checkpoints
+    #[arg(long, value_name = "N")]
+    checkpoint_every: Option<u64>,
+    /// train.evaluate_every: updates between validations
+    #[arg(long, value_name = "N")]
+    evaluate_every: Option<u64>,
+}
+
+/// Where `[train]` begins.
+#[cfg(feature = "torch")]
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Preset {
+    Paper,
+    Best,
+}
+
+#[cfg(feature = "torch")]
+impl TrainFlags {
+    fn apply(&self, config: &mut Config) {
+        let Config { train, .. } = config;
+        match self.preset {
+            Some(Preset::Paper) => *train = TrainConfig::paper(),
+            Some(Preset::Best) => *train = TrainConfig::default(),
+            None => {}
+        }
+        set(&mut train.updates, self.updates.as_ref());
+        set(&mut train.batch, self.batch.as_ref());
+        set(&mut train.learning_rate, self.learning_rate.as_ref());
+        set(&mut train.seed, self.seed.as_ref());
+        set(&mut train.checkpoint_every, self.checkpoint_every.as_ref());
+        set(&mut train.evaluate_every, self.evaluate_every.as_ref());
     }
 }

@@ -1,10 +1,14 @@
 //! `holescout evaluate`.
 
 use std::fmt::Write;
+#[cfg(feature = "torch")]
+use std::path::Path;
 
 use holescout::config::{Config, Split};
 use holescout::evaluate::{EvaluateJob, Interval, Report as Evaluation, evaluate};
 use holescout::progress::Progress;
+#[cfg(feature = "torch")]
+use holescout::{dataset::Dataset, rl::agent::Agent, rl::policy::MakePolicy, store::sha256_file};
 use serde_json::json;
 
 use crate::cli::{EvaluateArgs, SplitChoice};
@@ -16,8 +20,16 @@ pub(crate) fn run(
     config: &Config,
     console: &Console,
 ) -> Result<Report, Failure> {
+    #[cfg(feature = "torch")]
+    let agent =
+        args.agent.policy.as_deref().map(|policy| load(policy, args, config)).transpose()?;
+    #[cfg(feature = "torch")]
+    let agent = agent.as_ref().map(|(agent, sha256)| (agent as &dyn MakePolicy, &**sha256));
+    #[cfg(not(feature = "torch"))]
+    let agent = None;
     let job = EvaluateJob {
         dataset: &args.dataset,
+        agent,
         split: match args.split {
             SplitChoice::Train => Some(Split::Train),
             SplitChoice::Val => Some(Split::Val),
@@ -44,6 +56,15 @@ pub(crate) fn run(
         "scores": all_starts.collect::<Vec<_>>(),
     });
     Report::new(text(&report), &summary)
+}
+
+/// A trained policy, and the SHA-256 of its weights.
+#[cfg(feature = "torch")]
+fn load(policy: &Path, args: &EvaluateArgs, config: &Config) -> Result<(Agent, String), Failure> {
+    let cells = Dataset::open(&args.dataset)?.manifest().cells as usize;
+    let agent = Agent::load(policy, cells, &config.rl)?;
+    let weights = policy.join("weights.safetensors");
+    Ok((agent, sha256_file(&weights)?.sha256))
 }
 
 /// Precision and recall with all starts, a line a method.

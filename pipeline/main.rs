@@ -10,6 +10,8 @@ mod inspect;
 mod rasterise;
 mod schemas;
 mod shard;
+#[cfg(feature = "torch")]
+mod train;
 mod verify;
 
 use std::io::Write;
@@ -45,6 +47,8 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
         Command::ImportRsrp(args) => import_rsrp::run(args, &config, console),
         Command::Shard(args) => shard::run(args, &config, console),
         Command::Evaluate(args) => evaluate::run(args, &config, console),
+        #[cfg(feature = "torch")]
+        Command::Train(args) => train::run(args, &config, console),
         Command::Verify(args) => verify::run(args, console),
         Command::Inspect(args) => inspect::run(args),
         Command::Schemas(args) => schemas::run(args),

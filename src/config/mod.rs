@@ -6,12 +6,14 @@
 mod dataset;
 mod rl;
 mod tiles;
+mod train;
 
 pub use dataset::{
     HeightDownsampling, RsrpConfig, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
 };
 pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
 pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
+pub use train::{Loss, Precision, TrainConfig};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -65,6 +67,8 @@ pub struct Config {
     pub split: SplitConfig,
     /// The task: coverage holes, moves, encodings.
     pub rl: RlConfig,
+    /// How the Q-network is trained.
+    pub train: TrainConfig,
     /// How policies are judged.
     pub evaluate: EvaluateConfig,
 }
@@ -82,6 +86,7 @@ impl Config {
         self.shard.validate(&self.grid)?;
         self.split.validate()?;
         self.rl.validate()?;
+        self.train.validate()?;
         self.evaluate.validate()
     }
 }

@@ -111,13 +111,15 @@ pub enum Method {
     WallWalk,
     /// `oracle`: a shortest way to a hole.
     Oracle,
+    /// `agent`: a trained network, which must be given.
+    Agent,
 }
 
 /// A string that names no method.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error(
     "{0:?} is no method (expected rsp, bnp-<metres>, g-rsp, g-rsp-continuous, g-bnp-<metres>, \
-     g-bnp-<metres>-continuous, shadow, random-walk, wall-walk or oracle)"
+     g-bnp-<metres>-continuous, shadow, random-walk, wall-walk, oracle or agent)"
 )]
 pub struct MethodError(pub String);
 
@@ -134,6 +136,7 @@ impl fmt::Display for Method {
             Self::RandomWalk => f.write_str("random-walk"),
             Self::WallWalk => f.write_str("wall-walk"),
             Self::Oracle => f.write_str("oracle"),
+            Self::Agent => f.write_str("agent"),
         }
     }
 }
@@ -150,6 +153,7 @@ impl FromStr for Method {
             "random-walk" => Some(Self::RandomWalk),
             "wall-walk" => Some(Self::WallWalk),
             "oracle" => Some(Self::Oracle),
+            "agent" => Some(Self::Agent),
             _ => with_distance(name),
         };
         // Only the canonical spelling: `bnp-08` and `bnp-8` must not be two methods.
@@ -191,7 +195,7 @@ impl JsonSchema for Method {
         schemars::json_schema!({
             "type": "string",
             "description": "Name of a method.",
-            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle)$"
+            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle|agent)$"
         })
     }
 }
@@ -314,7 +318,7 @@ mod tests {
 
     #[test]
     fn method_names_round_trip_and_have_one_spelling() {
-        for method in EvaluateConfig::default().methods {
+        for method in EvaluateConfig::default().methods.into_iter().chain([Method::Agent]) {
             assert_eq!(method.to_string().parse(), Ok(method));
         }
         for wrong in ["", "bnp", "bnp-", "bnp-08", "bnp-8m", "g-bnp--continuous", "G-RSP"] {

@@ -4,11 +4,11 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde::Serialize;
 
-use super::map::{MapResult, Scene};
+use super::map::{Flying, MapResult, Scene};
 use super::track::Track;
-use crate::config::{Config, Method, Split};
+use crate::config::{Method, Split};
 use crate::grid::TileId;
-use crate::rl::{Sight, World};
+use crate::rl::World;
 
 /// A map, its grids packed to a byte a cell, row by row from the north.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -62,13 +62,13 @@ pub(super) fn show(
     scene: &Scene,
     split: Split,
     result: &MapResult,
-    sight: &Sight,
-    config: &Config,
+    flying: Flying<'_>,
 ) -> GalleryMap {
+    let config = flying.config;
     let truth = &scene.truth;
     let methods = config.evaluate.methods.iter();
     let tracks: Vec<(Method, Vec<Track>)> =
-        methods.map(|&method| (method, scene.tracks(method, sight, config))).collect();
+        methods.map(|&method| (method, scene.tracks(method, flying))).collect();
     let starts = (0..config.evaluate.gallery_starts as usize)
         .map(|start| {
             let with_start =

@@ -4,6 +4,7 @@ use super::methods;
 use super::report::Difficulty;
 use super::track::{Place, Track, fly};
 use crate::config::{Config, EvaluateConfig, Method};
+use crate::rl::policy::MakePolicy;
 use crate::rl::{Cell, Hops, Random, Sight, World};
 
 const NOISE: u64 = 3;
@@ -39,16 +40,26 @@ impl Scene {
     }
 
     /// All flights of a method.
-    pub(super) fn tracks(&self, method: Method, sight: &Sight, config: &Config) -> Vec<Track> {
+    pub(super) fn tracks(&self, method: Method, flying: Flying<'_>) -> Vec<Track> {
+        let Flying { sight, config, agent } = flying;
         let place = self.place(method, sight);
         let starts = methods::starts(method, place, &config.evaluate);
         let key = methods::key(method, place, &config.evaluate);
         let most = config.evaluate.steps.last().copied().unwrap_or(0);
-        match methods::policy(method, place, &config.evaluate) {
+        match methods::policy(method, place, &config.evaluate, agent) {
             Some(policy) => fly(place, &*policy, &starts, most, &key),
             None => fly(place, &crate::rl::policy::RandomWalk, &starts, 0, &key),
         }
     }
+}
+
+/// What is the same on all maps.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Flying<'a> {
+    pub(super) sight: &'a Sight,
+    pub(super) config: &'a Config,
+    /// What flies the method `agent`.
+    pub(super) agent: Option<&'a dyn MakePolicy>,
 }
 
 /// Precision and recall on one map.
@@ -97,12 +108,13 @@ pub(super) fn counts(starts: u32) -> Vec<u32> {
 }
 
 /// Evaluates all methods on a map.
-pub(super) fn evaluate(scene: &Scene, sight: &Sight, config: &Config) -> MapResult {
+pub(super) fn evaluate(scene: &Scene, flying: Flying<'_>) -> MapResult {
+    let Flying { sight, config, .. } = flying;
     let truth = &scene.truth;
     let outdoors: Vec<Cell> =
         truth.free_cells().into_iter().filter(|&cell| truth.is_outdoors(cell)).collect();
     let methods = config.evaluate.methods.iter().map(|&method| {
-        let tracks = scene.tracks(method, sight, config);
+        let tracks = scene.tracks(method, flying);
         judge(truth, &tracks, methods::steps(method, &config.evaluate), &config.evaluate)
     });
     MapResult {

@@ -4,7 +4,7 @@ use super::report::{Knows, MethodInfo};
 use super::track::Place;
 use crate::config::{EvaluateConfig, Method};
 use crate::rl::policy::{
-    Descent, DescentStyle, OptimalWay, Policy, RandomWalk, ShadowSeeker, WallWalk,
+    Descent, DescentStyle, MakePolicy, OptimalWay, Policy, RandomWalk, ShadowSeeker, WallWalk,
 };
 use crate::rl::{Cell, Random, neighbourhood};
 
@@ -78,6 +78,11 @@ pub(super) fn info(method: Method, config: &EvaluateConfig) -> MethodInfo {
             Knows::Holes,
             "A shortest way to a hole: no method can be better.".to_owned(),
         ),
+        Method::Agent => (
+            "Agent".into(),
+            Knows::Measurements,
+            "A trained Q-network, told its measurements and the building map.".to_owned(),
+        ),
     };
     MethodInfo { name: method, title, description, knows, multi_step: moves(method) }
 }
@@ -101,11 +106,12 @@ pub(super) fn starts(method: Method, place: Place<'_>, config: &EvaluateConfig) 
 }
 
 /// The policy that moves a method on a map; `None` if it does not move.
-pub(super) fn policy(
+pub(super) fn policy<'a>(
     method: Method,
     place: Place<'_>,
     config: &EvaluateConfig,
-) -> Option<Box<dyn Policy>> {
+    agent: Option<&'a dyn MakePolicy>,
+) -> Option<Box<dyn Policy + 'a>> {
     let Place { truth, known, sight } = place;
     let style = |keep_fraction| DescentStyle {
         rate: config.gradient_rate,
@@ -126,6 +132,7 @@ pub(super) fn policy(
         Method::RandomWalk => Box::new(RandomWalk),
         Method::WallWalk => Box::new(WallWalk::new(known)),
         Method::Oracle => Box::new(OptimalWay::new(truth, sight)),
+        Method::Agent => agent.expect("checked before anything flies").policy(known),
     })
 }
 

@@ -23,4 +23,4 @@ pub use report::{
     DatasetUsed, Difference, Difficulty, FlightFigures, Group, GroupKind, GroupScore, Interval,
     Knows, MapsUsed, MethodInfo, OracleShare, Report, Score,
 };
-pub use stage::{EvaluateError, EvaluateJob, evaluate};
+pub use stage::{EvaluateError, EvaluateJob, evaluate, precision};

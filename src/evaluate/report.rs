@@ -50,8 +50,10 @@ impl DatasetUsed {
 pub enum Knows {
     /// The outdoor cells only.
     Nothing,
-    /// The building map: what the paper's UAV has stored.
+    /// The building map.
     Buildings,
+    /// The building map and what was measured on the way: the paper's UAV.
+    Measurements,
     /// The building map and where the base station is.
     BaseStation,
     /// The whole coverage map: more than any UAV can know.
@@ -226,6 +228,9 @@ pub struct Report {
     pub software: Software,
     /// The dataset.
     pub dataset: DatasetUsed,
+    /// SHA-256 of the weights of the method `agent`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy_sha256: Option<String>,
     /// `train`, `val`, `test` or `all`.
     pub split: String,
     /// The task.

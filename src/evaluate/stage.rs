@@ -9,16 +9,17 @@ use super::bootstrap::Bootstrap;
 use super::chart::svg_to_png;
 use super::gallery;
 use super::groups::overlapping_pairs;
-use super::map::{self, MapResult, Scene};
+use super::map::{self, Flying, MapResult, Scene};
 use super::report::{DatasetUsed, MapsUsed, Report};
 use super::summary::Results;
 use super::{figures, methods, page, tables};
-use crate::config::{Config, Split};
+use crate::config::{Config, Method, Split};
 use crate::dataset::{Dataset, ReadError};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{EvaluationManifest, Software, fingerprint, to_json};
 use crate::progress::Progress;
+use crate::rl::policy::MakePolicy;
 use crate::rl::{Sight, World};
 use crate::store::{OutputDir, OutputError};
 
@@ -35,6 +36,11 @@ pub enum EvaluateError {
     /// The output directory cannot be used.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// The method `agent` is asked for, but there is none.
+    #[error(
+        "evaluate.methods has \"agent\", but no policy was given: pass --policy, or leave it out"
+    )]
+    NoAgent,
     /// The split has no records.
     #[error("the {split} split of {dataset} has no records; those that have: {others}")]
     EmptySplit {
@@ -52,7 +58,7 @@ impl HasFault for EvaluateError {
         match self {
             Self::Read(error) => error.fault(),
             Self::Output(error) => error.fault(),
-            Self::EmptySplit { .. } => Fault::Input,
+            Self::NoAgent | Self::EmptySplit { .. } => Fault::Input,
         }
     }
 }
@@ -68,6 +74,8 @@ impl From<FileError> for EvaluateError {
 pub struct EvaluateJob<'a> {
     /// A dataset.
     pub dataset: &'a Path,
+    /// What flies the method `agent`, and the SHA-256 of its weights.
+    pub agent: Option<(&'a dyn MakePolicy, &'a str)>,
     /// Its split; all of them if `None`.
     pub split: Option<Split>,
     /// The configuration; `[rl]` and `[evaluate]` are used.
@@ -89,18 +97,23 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
     let records = records(&dataset, job)?;
     let config = job.config;
     let split = job.split.map_or("all", Split::name).to_owned();
-    let fingerprint =
-        fingerprint(&("evaluate", dataset.digest(), &split, &config.rl, &config.evaluate));
+    if config.evaluate.methods.contains(&Method::Agent) && job.agent.is_none() {
+        return Err(EvaluateError::NoAgent);
+    }
+    let policy_sha256 = job.agent.map(|(_, sha256)| sha256.to_owned());
+    let inputs = (dataset.digest(), &policy_sha256, &split);
+    let fingerprint = fingerprint(&("evaluate", inputs, &config.rl, &config.evaluate));
     let output = OutputDir::begin(job.out, "evaluation", &fingerprint, job.overwrite)?;
 
     let sight = Sight::new(config.rl.reach_cells);
+    let flying = Flying { sight: &sight, config, agent: job.agent.map(|(agent, _)| agent) };
     let scene = |id| -> Result<Scene, ReadError> {
         let (record, grids) = dataset.record_with_grids(id)?;
         Ok(Scene::new(World::new(&record, &grids, &config.rl), &config.evaluate))
     };
     progress.begin("flying", Some(records.len() as u64));
     let maps = records.par_iter().map(|&(id, _)| {
-        let result = map::evaluate(&scene(id)?, &sight, config);
+        let result = map::evaluate(&scene(id)?, flying);
         progress.advance(1);
         Ok(result)
     });
@@ -114,6 +127,7 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
         fingerprint,
         software: Software::this(),
         dataset: DatasetUsed::of(&dataset),
+        policy_sha256,
         split,
         rl: config.rl.clone(),
         evaluate: config.evaluate.clone(),
@@ -127,7 +141,7 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
         .into_par_iter()
         .map(|at| {
             let (id, split) = records[at];
-            Ok(gallery::show(&scene(id)?, split, &maps[at], &sight, config))
+            Ok(gallery::show(&scene(id)?, split, &maps[at], flying))
         })
         .collect::<Result<Vec<_>, ReadError>>()?;
     let charts = figures::of_report(&report).map(|(name, chart)| (name, chart.to_svg()));
@@ -148,6 +162,7 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
         fingerprint: report.fingerprint.clone(),
         software: Software::this(),
         dataset: dataset.digest().clone(),
+        policy_sha256: report.policy_sha256.clone(),
         split: report.split.clone(),
         rl: config.rl.clone(),
         evaluate: config.evaluate.clone(),
@@ -215,4 +230,29 @@ fn summarise(ids: &[TileId], maps: &[MapResult], config: &Config) -> Report {
         difficulty: results.difficulty(),
         ..Report::default()
     }
+}
+
+/// Mean precision of a policy over maps after each of the configured steps, from the configured
+/// starts: what training chooses its best checkpoint by.
+#[must_use]
+pub fn precision(
+    agent: &dyn MakePolicy,
+    maps: &[std::sync::Arc<World>],
+    config: &Config,
+) -> Vec<(u32, f64)> {
+    let mut config = config.clone();
+    config.evaluate.methods = vec![Method::Agent];
+    let sight = Sight::new(config.rl.reach_cells);
+    let flying = Flying { sight: &sight, config: &config, agent: Some(agent) };
+    let results: Vec<MapResult> = maps
+        .par_iter()
+        .map(|map| map::evaluate(&Scene::new((**map).clone(), &config.evaluate), flying))
+        .collect();
+    let steps = config.evaluate.steps.iter().enumerate();
+    let mean = |at: usize| {
+        let scores = results.iter().filter_map(|map| map.methods[0].scores[at].last()?.precision);
+        let scores: Vec<f64> = scores.collect();
+        scores.iter().sum::<f64>() / scores.len().max(1) as f64
+    };
+    steps.map(|(at, &k)| (k, mean(at))).collect()
 }

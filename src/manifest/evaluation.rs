@@ -20,6 +20,9 @@ pub struct EvaluationManifest {
     pub software: Software,
     /// The dataset's manifest.
     pub dataset: Digest,
+    /// SHA-256 of the weights of the method `agent`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy_sha256: Option<String>,
     /// `train`, `val`, `test` or `all`.
     pub split: String,
     /// The task.

@@ -1,8 +1,12 @@
 //! Cells of a map, and the moves between them.
 
+use serde::{Deserialize, Serialize};
+
 /// A cell: row from the north, column from the west, both from 0. Moves and what lies beside a
 /// map have negative ones too.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize,
+)]
 pub struct Cell {
     /// Rows to the south of the northernmost.
     pub row: i32,

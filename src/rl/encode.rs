@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use super::cell::{Actions, Cell};
 use super::flight::Measurement;
+use super::symmetry::Symmetry;
 use super::world::World;
 use crate::config::RlConfig;
 
@@ -45,6 +46,16 @@ pub struct State<'a> {
     pub world: &'a World,
     /// The measurements, the latest last.
     pub measurements: &'a [Measurement],
+    /// How the map is turned or flipped before it is encoded.
+    pub symmetry: Symmetry,
+}
+
+impl<'a> State<'a> {
+    /// A state as it is, north up.
+    #[must_use]
+    pub fn new(world: &'a World, measurements: &'a [Measurement]) -> Self {
+        Self { world, measurements, symmetry: Symmetry::IDENTITY }
+    }
 }
 
 impl Encoder {
@@ -90,25 +101,28 @@ impl Encoder {
     /// # Panics
     /// If the map has another size, nothing was measured, or a buffer has another length.
     pub fn encode(&self, state: State<'_>, map: &mut [f32], window: &mut [f32]) {
-        let State { world, measurements } = state;
+        let State { world, measurements, symmetry } = state;
         assert_eq!((world.cells(), map.len()), (self.cells, self.map_len()));
         let last = measurements.last().expect("the start is measured");
+        let turned = |cell| symmetry.of(cell, self.cells);
+        let center = turned(last.cell);
         let (location, rest) = map.split_at_mut(self.cells * self.cells);
         let (levels, heights) = rest.split_at_mut(self.cells * self.cells);
         let rows = location.chunks_exact_mut(self.cells).zip(levels.chunks_exact_mut(self.cells));
         for (row, (location, levels)) in rows.enumerate() {
-            location.copy_from_slice(self.decay_row(last.cell, row));
+            location.copy_from_slice(self.decay_row(center, row));
             levels.fill(0.0);
             for measurement in measurements {
                 let weight = normalised_rsrp(measurement.rsrp_dbm, world.threshold_dbm());
-                let decay = self.decay_row(measurement.cell, row);
+                let decay = self.decay_row(turned(measurement.cell), row);
                 levels.iter_mut().zip(decay).for_each(|(level, decay)| *level += weight * decay);
             }
         }
-        for (scaled, height) in heights.iter_mut().zip(world.height_m()) {
-            *scaled = height / self.height_scale_m;
+        symmetry.copy(world.heights(), heights, self.cells);
+        for height in heights {
+            *height /= self.height_scale_m;
         }
-        self.cut_window(map, last.cell, window);
+        self.cut_window(map, center, window);
     }
 
     /// `I_B` is `I_A` around a cell.
@@ -162,7 +176,7 @@ mod tests {
         let encoder = Encoder::new(world.cells(), &config);
         let mut map = vec![f32::NAN; encoder.map_len()];
         let mut window = vec![f32::NAN; encoder.window_len()];
-        encoder.encode(State { world: &world, measurements }, &mut map, &mut window);
+        encoder.encode(State::new(&world, measurements), &mut map, &mut window);
         (map, window)
     }
 
@@ -211,6 +225,31 @@ mod tests {
                 .sum();
             assert!((f64::from(map[at]) - decay(at, visits[2].cell)).abs() < 1e-6);
             assert!((f64::from(map[25 + at]) - level).abs() < 1e-6);
+        }
+    }
+
+    /// Turning the state is turning what is seen of it.
+    #[test]
+    fn turned_states_are_turned_encodings() {
+        let world = world(".#..o\n.....\n..#..\no....\n.....", 2);
+        let encoder = Encoder::new(5, &RlConfig { reach_cells: 2, ..RlConfig::default() });
+        let encode = |symmetry| {
+            let (mut map, mut window) = (vec![0.0; 75], vec![0.0; 75]);
+            let measurements = &[measured(1, 3, -70.0), measured(3, 1, -90.0)];
+            encoder.encode(State { world: &world, measurements, symmetry }, &mut map, &mut window);
+            [map, window]
+        };
+        let straight = encode(Symmetry::IDENTITY);
+        for symmetry in (0..Symmetry::COUNT).map(Symmetry::new) {
+            for (straight, turned) in straight.iter().zip(encode(symmetry)) {
+                let channels = straight.chunks_exact(25).zip(turned.chunks_exact(25));
+                for (straight, turned) in channels {
+                    let mut expected = [0.0; 25];
+                    symmetry.copy(straight, &mut expected, 5);
+                    let close = |(a, b): (&f32, &f32)| (a - b).abs() < 1e-6;
+                    assert!(expected.iter().zip(turned).all(close), "{symmetry:?}");
+                }
+            }
         }
     }
 

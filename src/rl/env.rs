@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::cell::{Actions, Cell};
 use super::flight::{fly, reward};
@@ -19,6 +20,16 @@ pub struct Outcome {
     pub terminal: bool,
     /// The time limit is reached: the state after it keeps its value.
     pub truncated: bool,
+    /// The cell that the UAV came to.
+    pub next: Cell,
+}
+
+/// What a checkpoint must keep of an episode.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EpisodeState {
+    episodes: u64,
+    map: usize,
+    visited: Vec<Cell>,
 }
 
 /// One episode after another, on maps drawn at random. The n-th episode of a slot is a function of seed, slot and n alone.
@@ -121,10 +132,59 @@ impl Environment {
         (&self.maps[slot.map], &slot.visited)
     }
 
+    /// Number of the map that an episode takes place on.
+    #[must_use]
+    pub fn map(&self, slot: usize) -> usize {
+        self.slots[slot].map
+    }
+
     /// Where the next step of an episode may lead.
     #[must_use]
     pub fn permissible(&self, slot: usize) -> &ActionSet {
         &self.slots[slot].permissible
+    }
+
+    /// The table of lines of sight.
+    #[must_use]
+    pub fn sight(&self) -> &Sight {
+        &self.sight
+    }
+
+    /// The maps that episodes take place on, in the order of their numbers.
+    #[must_use]
+    pub fn maps(&self) -> &[Arc<World>] {
+        &self.maps
+    }
+
+    /// What a checkpoint must keep.
+    #[must_use]
+    pub fn save(&self) -> Vec<EpisodeState> {
+        let state = |slot: &Slot| EpisodeState {
+            episodes: slot.episodes,
+            map: slot.map,
+            visited: slot.visited.clone(),
+        };
+        self.slots.iter().map(state).collect()
+    }
+
+    /// Goes on where a checkpoint was made; `false`, and nothing is changed, if it does not fit.
+    #[must_use]
+    pub fn restore(&mut self, episodes: &[EpisodeState]) -> bool {
+        let fits = |state: &EpisodeState| {
+            let last = state.visited.last();
+            let map = self.maps.get(state.map);
+            map.zip(last).is_some_and(|(map, &last)| map.is_free(last))
+        };
+        if episodes.len() != self.slots.len() || !episodes.iter().all(fits) {
+            return false;
+        }
+        for (slot, state) in self.slots.iter_mut().zip(episodes) {
+            (slot.episodes, slot.map) = (state.episodes, state.map);
+            slot.visited.clone_from(&state.visited);
+            let last = *slot.visited.last().expect("checked above");
+            self.sight.permissible_into(&self.maps[slot.map], last, &mut slot.permissible);
+        }
+        true
     }
 
     /// One step of all episodes, in parallel. Those that end begin anew at once: the state is
@@ -179,7 +239,7 @@ impl Slot {
         } else {
             sight.permissible_into(world, cell, &mut self.permissible);
         }
-        Outcome { reward: reward(permissible, terminal), terminal, truncated }
+        Outcome { reward: reward(permissible, terminal), terminal, truncated, next: cell }
     }
 }
 
@@ -225,6 +285,21 @@ mod tests {
                 |slots: usize| (0..slots).map(|slot| (slot + step) % 25).collect::<Vec<_>>();
             assert_eq!(few.step(&actions(2)), many.step(&actions(200))[..2]);
             assert_eq!(few.state(1).1, many.state(1).1);
+        }
+    }
+
+    #[test]
+    fn restored_episodes_go_on_as_the_saved_ones() {
+        let (mut saved, mut restored) = (environment(9), environment(9));
+        let step = |environment: &mut Environment, step: usize| {
+            environment.step(&(0..9).map(|slot| (slot * 5 + step) % 25).collect::<Vec<_>>())
+        };
+        (0..7).for_each(|at| drop(step(&mut saved, at)));
+        let state = saved.save();
+        assert!(!restored.restore(&state[1..]), "of another number");
+        assert!(restored.restore(&state));
+        for at in 7..30 {
+            assert_eq!(step(&mut saved, at), step(&mut restored, at));
         }
     }
 

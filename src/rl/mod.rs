@@ -9,6 +9,8 @@
 //! Positions are rows from the north and columns from the west, in cells; all randomness comes
 //! from keyed streams ([`Random`]), so nothing depends on threads.
 
+#[cfg(feature = "torch")]
+pub mod agent;
 mod cell;
 mod distance;
 mod encode;
@@ -16,18 +18,24 @@ mod env;
 mod flight;
 mod oracle;
 pub mod policy;
+mod pool;
 mod random;
+mod replay;
 mod sight;
+mod symmetry;
 mod world;
 
 pub use cell::{Actions, Cell};
 pub use distance::neighbourhood;
 pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
-pub use env::{Environment, NothingToLearn, Outcome};
+pub use env::{Environment, EpisodeState, NothingToLearn, Outcome};
 pub use flight::{Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step};
 pub use oracle::Hops;
+pub use pool::load_split;
 pub use random::Random;
-pub use sight::{ActionSet, Sight};
+pub use replay::{Replay, Transition};
+pub use sight::{ActionSet, Sight, rewards_into};
+pub use symmetry::Symmetry;
 pub use world::World;
 #[cfg(test)]
 pub(crate) use world::tests::world as drawn_world;

@@ -5,8 +5,10 @@
 //! episode is keyed by what it belongs to, so no result depends on threads or on order, and
 //! a checkpoint stores a key and a counter. The functions are `libm`'s: the same bits everywhere.
 
+use serde::{Deserialize, Serialize};
+
 /// A stream of random numbers.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Random {
     key: u64,
     counter: u64,

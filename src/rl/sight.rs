@@ -13,6 +13,7 @@
 //! stays in the second-level cache.
 
 use super::cell::{Actions, Cell};
+use super::flight::reward;
 use super::world::World;
 
 const WORD: usize = u64::BITS as usize;
@@ -155,6 +156,22 @@ impl Sight {
         if rest > 0 {
             blocked[self.words - 1] &= (1 << rest) - 1;
         }
+    }
+}
+
+/// The rewards of all actions, `eqn:reward`, and whether each would end the episode: what training
+/// may know of a state for free.
+pub fn rewards_into(
+    sight: &Sight,
+    world: &World,
+    from: Cell,
+    permissible: &ActionSet,
+    mut store: impl FnMut(usize, f32, bool),
+) {
+    for action in 0..sight.actions().count() {
+        let is_permissible = permissible.contains(action);
+        let is_hole = is_permissible && world.is_hole(from + sight.actions().offset(action));
+        store(action, reward(is_permissible, is_hole), is_hole);
     }
 }
 

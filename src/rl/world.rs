@@ -104,7 +104,7 @@ impl World {
             actions,
             threshold_dbm,
             flight_height_m: config.flight_height_m,
-            height_m: grids.height_m.clone(),
+            height_m: grids.height_m.as_standard_layout().into_owned(),
             rsrp_dbm,
             occupied,
             outdoors,
@@ -205,6 +205,15 @@ impl World {
     #[must_use]
     pub fn height_m(&self) -> &Array2<f32> {
         &self.height_m
+    }
+
+    /// The same, row by row.
+    ///
+    /// # Panics
+    /// Never: the grid is stored row by row.
+    #[must_use]
+    pub fn heights(&self) -> &[f32] {
+        self.height_m.as_slice().expect("grids are stored row by row")
     }
 
     /// Row and column of the base station (which may lie outside of the map), and its height

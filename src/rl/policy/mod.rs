@@ -59,6 +59,12 @@ pub trait Policy: Sync {
     }
 }
 
+/// Makes policies for maps, for instance of a trained network.
+pub trait MakePolicy: Sync + std::fmt::Debug {
+    /// A policy for a map as the UAV has it stored.
+    fn policy<'a>(&'a self, known: &World) -> Box<dyn Policy + 'a>;
+}
+
 /// Each flight by itself, for policies that gain nothing from predicting together.
 fn each<'w>(
     views: &mut [View<'_, 'w>],

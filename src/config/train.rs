@@ -1,0 +1,184 @@
+//! `[train]`: how the Q-network is trained.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{ConfigError, demand};
+
+/// Which numbers the network computes with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// `bfloat16` where the CPU multiplies it natively, else `float32`.
+    Auto,
+    /// 32 bits throughout.
+    Float32,
+    /// Activations and weights of 16 bits; the weights that are learned have 32.
+    Bfloat16,
+}
+
+/// How an error becomes a loss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Loss {
+    /// The square, as in the paper (`eqn:ddqn_loss`).
+    Squared,
+    /// The square up to 1, linear beyond (Huber).
+    Huber,
+}
+
+/// `[train]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Seed of weights, episodes, exploration and sampling.
+    pub seed: u64,
+    /// Gradient updates of the whole run.
+    pub updates: u64,
+    /// Transitions in an update.
+    pub batch: u32,
+    /// Episodes at a time.
+    pub episodes: u32,
+    /// Updates for each step of all episodes.
+    pub updates_per_step: u32,
+    /// Transitions that the replay holds.
+    pub replay: u32,
+    /// Transitions before the first update.
+    pub warmup: u32,
+    /// Learning rate of Adam.
+    pub learning_rate: f64,
+    /// Discount of later rewards (the paper's γ).
+    pub discount: f64,
+    /// Updates after which the target network takes over the weights.
+    pub target_sync: u32,
+    /// Share of random actions at first.
+    pub epsilon_start: f64,
+    /// Share of random actions in the end.
+    pub epsilon_end: f64,
+    /// Updates over which it falls, as a share of all.
+    pub epsilon_decay: f64,
+    /// How an error of a Q-value becomes a loss.
+    pub loss: Loss,
+    /// Gradients longer than this are shortened to it; 0 for never.
+    pub clip_norm: f64,
+    /// Weight of the squared reward in the loss (the paper's α). It has no gradient, and is kept
+    /// so that losses compare with the paper's.
+    pub squared_reward: f64,
+    /// Weight of the loss of the head that predicts the rewards of all actions; 0 for no such head.
+    pub reward_prediction: f64,
+    /// Teach the Q-values of all actions that end the episode, not only of the one taken.
+    pub dense_terminal: bool,
+    /// Choose among permissible actions only.
+    pub mask_actions: bool,
+    /// Flip and rotate each sample at random, map and action together.
+    pub augment: bool,
+    /// Channels of the seven hidden layers: three convolutions and a transposed one over the map,
+    /// two convolutions over the surroundings, a transposed one over both.
+    pub widths: [u32; 7],
+    /// Numbers that the network computes with.
+    pub precision: Precision,
+    /// Updates after which a checkpoint is written.
+    pub checkpoint_every: u64,
+    /// Updates after which the policy is judged on the validation split.
+    pub evaluate_every: u64,
+    /// Starts on each map when it is.
+    pub evaluate_starts: u32,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            updates: 20_000,
+            batch: 64,
+            episodes: 64,
+            updates_per_step: 1,
+            replay: 1_000_000,
+            warmup: 4096,
+            learning_rate: 5e-4,
+            discount: 0.99,
+            target_sync: 250,
+            epsilon_start: 1.0,
+            epsilon_end: 0.05,
+            epsilon_decay: 0.3,
+            loss: Loss::Huber,
+            clip_norm: 10.0,
+            squared_reward: 0.0,
+            reward_prediction: 1.0,
+            dense_terminal: true,
+            mask_actions: true,
+            augment: true,
+            widths: [32, 64, 128, 64, 32, 64, 32],
+            precision: Precision::Auto,
+            checkpoint_every: 1000,
+            evaluate_every: 1000,
+            evaluate_starts: 50,
+        }
+    }
+}
+
+impl TrainConfig {
+    /// As published: squared loss, no clipping, α r² (which has no gradient), actions of the whole
+    /// square, no augmentation and no auxiliary head. What the paper does not tell is as by default.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            loss: Loss::Squared,
+            clip_norm: 0.0,
+            squared_reward: 1.0,
+            reward_prediction: 0.0,
+            dense_terminal: false,
+            mask_actions: false,
+            augment: false,
+            ..Self::default()
+        }
+    }
+
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let counts = [
+            ("train.batch", self.batch, 65_536),
+            ("train.episodes", self.episodes, 65_536),
+            ("train.updates_per_step", self.updates_per_step, 1000),
+            ("train.replay", self.replay, 100_000_000),
+            ("train.warmup", self.warmup, self.replay),
+            ("train.target_sync", self.target_sync, 10_000_000),
+            ("train.evaluate_starts", self.evaluate_starts, 100_000),
+        ];
+        for (key, value, most) in counts {
+            demand((1..=most).contains(&value), key, value, format!("1 to {most}"))?;
+        }
+        demand(self.warmup >= self.batch, "train.warmup", self.warmup, "at least train.batch")?;
+        for (key, value) in [
+            ("train.updates", self.updates),
+            ("train.checkpoint_every", self.checkpoint_every),
+            ("train.evaluate_every", self.evaluate_every),
+        ] {
+            demand(value > 0, key, value, "at least 1")?;
+        }
+        let shares = [
+            ("train.discount", self.discount),
+            ("train.epsilon_start", self.epsilon_start),
+            ("train.epsilon_end", self.epsilon_end),
+            ("train.epsilon_decay", self.epsilon_decay),
+        ];
+        for (key, value) in shares {
+            demand((0.0..=1.0).contains(&value), key, value, "0 to 1")?;
+        }
+        let weights = [
+            ("train.clip_norm", self.clip_norm),
+            ("train.squared_reward", self.squared_reward),
+            ("train.reward_prediction", self.reward_prediction),
+        ];
+        for (key, value) in weights {
+            demand(value >= 0.0 && value.is_finite(), key, value, "0 or more")?;
+        }
+        let rate = self.learning_rate;
+        demand(rate > 0.0 && rate < 1.0, "train.learning_rate", rate, "between 0 and 1")?;
+        demand(
+            self.widths.iter().all(|width| (1..=4096).contains(width)),
+            "train.widths",
+            format!("{:?}", self.widths),
+            "seven numbers from 1 to 4096",
+        )
+    }
+}

@@ -1,0 +1,211 @@
+//! A run: a directory with checkpoints, the best policy and a log, which goes on where it was.
+//!
+//! `RUN/checkpoints/000001000` are the last checkpoints, `RUN/best` the one with the best score on
+//! the validation split, `RUN/log.jsonl` a line for every hundred updates and every validation.
+
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use super::checkpoint::CheckpointError;
+use super::network::QNetwork;
+use super::trainer::{Progress, TrainError, TrainJob, Trainer};
+use crate::error::{Fault, FileError, HasFault};
+use crate::store::write_atomic;
+
+/// Checkpoints that are kept beside the best.
+const KEPT: usize = 3;
+/// Updates that a line of the log sums up.
+const LOGGED: u64 = 100;
+const LOCK: &str = ".holescout-lock";
+
+/// Why a run cannot begin or go on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SessionError {
+    /// Training failed.
+    #[error(transparent)]
+    Train(#[from] TrainError),
+    /// A checkpoint cannot be written.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// A file of the run cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// Another process trains there.
+    #[error("{} is being written by another run of holescout", path.display())]
+    Busy {
+        /// The directory.
+        path: PathBuf,
+    },
+}
+
+impl HasFault for SessionError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Train(error) => error.fault(),
+            Self::Checkpoint(error) => error.fault(),
+            Self::File(error) => error.fault(),
+            Self::Busy { .. } => Fault::Input,
+        }
+    }
+}
+
+/// Who watches a run.
+pub trait Watch {
+    /// The run begins, at an update after zero if it goes on from a checkpoint.
+    fn begins(&mut self, trainer: &Trainer<'_>);
+    /// An update was made.
+    fn updated(&mut self, progress: &Progress);
+    /// Precision on the validation split after 1, 2, 4 ... steps.
+    fn judge(&mut self, network: &QNetwork) -> Vec<(u32, f64)>;
+    /// Whether to save and stop.
+    fn stop(&mut self) -> bool;
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ended {
+    /// Updates done.
+    pub updates: u64,
+    /// Whether all were done, or it was stopped.
+    pub complete: bool,
+    /// Best score on the validation split, and the update that had it.
+    pub best: Option<(f64, u64)>,
+}
+
+/// Trains in a directory, from its last checkpoint if there is one, until all updates are done or the
+/// watch says stop.
+///
+/// # Errors
+/// [`SessionError`]; what the last checkpoint holds is not lost.
+pub fn train(job: TrainJob<'_>, run: &Path, watch: &mut dyn Watch) -> Result<Ended, SessionError> {
+    std::fs::create_dir_all(run).map_err(FileError::new("create", run))?;
+    let lock = File::create(run.join(LOCK)).map_err(FileError::new("create", run))?;
+    if lock.try_lock().is_err() {
+        return Err(SessionError::Busy { path: run.to_owned() });
+    }
+    let mut trainer = match checkpoints(run)?.last() {
+        Some(last) => Trainer::resume(job, last)?,
+        None => Trainer::new(job)?,
+    };
+    let mut log = Log::open(run, trainer.updates())?;
+    watch.begins(&trainer);
+    let config = job.train;
+    while trainer.updates() < config.updates {
+        if watch.stop() {
+            save(&trainer, run)?;
+            return Ok(ended(&trainer, config.updates));
+        }
+        let progress = trainer.update()?;
+        watch.updated(&progress);
+        log.add(&progress)?;
+        let done = trainer.updates();
+        let is_due = |every: u64| done.is_multiple_of(every) || done == config.updates;
+        if is_due(config.evaluate_every) {
+            let scores = watch.judge(trainer.policy());
+            log.judged(done, &scores)?;
+            let score = scores.iter().map(|(_, precision)| precision).sum::<f64>()
+                / scores.len().max(1) as f64;
+            if trainer.best.is_none_or(|(best, _)| score > best) {
+                trainer.best = Some((score, done));
+                trainer.save(&run.join("best"))?;
+            }
+        }
+        if is_due(config.checkpoint_every) {
+            save(&trainer, run)?;
+        }
+    }
+    Ok(ended(&trainer, config.updates))
+}
+
+fn ended(trainer: &Trainer<'_>, updates: u64) -> Ended {
+    let complete = trainer.updates() >= updates;
+    Ended { updates: trainer.updates(), complete, best: trainer.best }
+}
+
+/// Writes a checkpoint, then removes the oldest.
+fn save(trainer: &Trainer<'_>, run: &Path) -> Result<(), SessionError> {
+    trainer.save(&run.join("checkpoints").join(format!("{:09}", trainer.updates())))?;
+    let all = checkpoints(run)?;
+    for old in &all[..all.len().saturating_sub(KEPT)] {
+        std::fs::remove_dir_all(old).map_err(FileError::new("remove", old))?;
+    }
+    Ok(())
+}
+
+/// The checkpoints of a run, the oldest first. What a killed run left half-written has another name.
+fn checkpoints(run: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let directory = run.join("checkpoints");
+    let entries = match std::fs::read_dir(&directory) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        other => other.map_err(FileError::new("list", &directory))?,
+    };
+    let is_number = |path: &PathBuf| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        name.is_some_and(|name| name.bytes().all(|byte| byte.is_ascii_digit()))
+    };
+    let mut paths: Vec<PathBuf> =
+        entries.flatten().map(|entry| entry.path()).filter(is_number).collect();
+    paths.sort();
+    Ok(paths)
+}
+
+/// `log.jsonl`: what happened up to the checkpoint that a run goes on from is kept.
+struct Log {
+    path: PathBuf,
+    file: File,
+    since: Vec<Progress>,
+}
+
+impl Log {
+    fn open(run: &Path, updates: u64) -> Result<Self, FileError> {
+        let path = run.join("log.jsonl");
+        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        let is_before = |line: &&str| {
+            let line = serde_json::from_str::<Value>(line).ok();
+            line.and_then(|line| line["update"].as_u64()).is_some_and(|update| update <= updates)
+        };
+        let kept: String = text.lines().filter(is_before).flat_map(|line| [line, "\n"]).collect();
+        write_atomic(&path, kept.as_bytes())?;
+        let file = OpenOptions::new().append(true).open(&path);
+        let file = file.map_err(FileError::new("open", &path))?;
+        Ok(Self { path, file, since: Vec::new() })
+    }
+
+    fn line(&mut self, line: &Value) -> Result<(), FileError> {
+        let written = writeln!(self.file, "{line}");
+        written.map_err(FileError::new("write", &self.path))
+    }
+
+    /// Means over the updates since the last line.
+    fn add(&mut self, progress: &Progress) -> Result<(), FileError> {
+        self.since.push(*progress);
+        if !progress.update.is_multiple_of(LOGGED) {
+            return Ok(());
+        }
+        let since = std::mem::take(&mut self.since);
+        let mean = |value: fn(&Progress) -> Option<f64>| {
+            let values: Vec<f64> = since.iter().filter_map(value).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        self.line(&json!({
+            "update": progress.update,
+            "steps": progress.steps,
+            "loss": mean(|p| Some(p.loss)),
+            "q_loss": mean(|p| Some(p.q_loss)),
+            "reward_loss": mean(|p| p.reward_loss),
+            "gradient_norm": mean(|p| Some(p.gradient_norm)),
+            "epsilon": progress.epsilon,
+            "mean_return": mean(|p| p.mean_return),
+        }))
+    }
+
+    fn judged(&mut self, update: u64, scores: &[(u32, f64)]) -> Result<(), FileError> {
+        let scores: serde_json::Map<String, Value> =
+            scores.iter().map(|(k, precision)| (k.to_string(), json!(precision))).collect();
+        self.line(&json!({ "update": update, "precision": scores }))
+    }
+}
