@@ -3,6 +3,7 @@
 #   make dataset                 the fixtures, into build/helsinki/dataset
 #   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
 #   make evaluate [SPLIT=val]    all methods on the dataset: OUT/evaluation/SPLIT/report.html
+#   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
 #   make test                    everything that needs no large data
 #   make test-real DATA=dir      against GDAL, PROJ and whole cities
 #
@@ -32,7 +33,7 @@ RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,9s/^# *//p' Makefile
+	@sed -n '3,10s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
@@ -65,6 +66,14 @@ $(OUT)/evaluation/$(SPLIT)/manifest.json: $(OUT)/.verified
 	$(RUN) evaluate --dataset $(OUT)/dataset --split $(SPLIT) --out $(@D) --overwrite
 	@touch $@
 
+# A Q-network by Double DQN, from the last checkpoint on if there is one; then it is judged beside the other methods on
+# the validation split.
+.PHONY: train
+train: $(OUT)/.verified $(LIBTORCH)/.installed | tools-torch
+	$(TORCH) cargo build --release --locked --features torch
+	$(RUN) train --dataset $(OUT)/dataset --run $(OUT)/run $(if $(UPDATES),--updates $(UPDATES))
+	$(RUN) evaluate --dataset $(OUT)/dataset --split val --policy $(OUT)/run/best --out $(OUT)/evaluation/agent --overwrite
+
 # Other file names are other inputs, though no file became newer.
 $(OUT)/.inputs: FORCE
 	@mkdir -p $(@D)
@@ -95,8 +104,17 @@ tools:
 # itself and nothing else of it. `libtorch.so`, which would ask for all of CUDA, is replaced by a linker script.
 LIBTORCH := $(CURDIR)/.libtorch
 
+TORCH := LIBTORCH=$(LIBTORCH)
+
 .PHONY: libtorch
 libtorch: $(LIBTORCH)/.installed
+
+.PHONY: tools-torch
+tools-torch: | tools
+	@command -v c++ >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -qqy --no-install-recommends g++; \
+	  else echo "a C++ compiler is missing: install g++" >&2; exit 1; fi; }
 
 $(LIBTORCH)/.installed: pipeline/libtorch-requirements.txt | $(VENV)/.installed
 	rm -rf $(LIBTORCH)
@@ -134,11 +152,24 @@ schema-check: $(BIN)
 	$(BIN) schemas --out schemas --check
 
 .PHONY: test
-test: test-rust test-report
+test: test-rust test-torch test-report
 
 .PHONY: test-rust
 test-rust: | tools
 	cargo test --locked
+
+# What needs libtorch: its lints, its unit tests, training end to end, losses and gradients against PyTorch. The wheel of
+# PyTorch is that of libtorch; empty libraries stand in for those of CUDA that it would ask for.
+.PHONY: test-torch
+test-torch: dataset $(LIBTORCH)/.installed | tools-torch
+	$(TORCH) cargo clippy --locked --features torch --all-targets -- -D warnings
+	$(TORCH) cargo test --locked --features torch --lib rl::agent
+	$(TORCH) cargo test --locked --features torch --test train
+	$(TORCH) cargo build --locked --features torch --example ddqn_reference
+	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
+	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
+	  HOLESCOUT_DATASET=$(abspath $(OUT))/dataset DDQN_REFERENCE=$(abspath target/debug/examples/ddqn_reference) \
+	  $(PYTHON) -m pytest -q tests/torch
 
 # The report of an evaluation in a real browser.
 .PHONY: test-report
@@ -161,7 +192,7 @@ test-real: $(BIN) $(VENV)/.installed
 	$(PYTHON) fixtures/geometry/make_pbf.py --check
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 
-$(VENV)/.installed: $(REAL)/requirements.txt tests/report/requirements.txt
+$(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch))
 	python3 -m venv $(VENV) || { \
 	  [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
 	  apt-get update -qq && apt-get install -qqy --no-install-recommends python3-venv && \

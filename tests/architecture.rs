@@ -32,7 +32,7 @@ const ONLY_BELOW: [(&str, &str); 5] = [
     ("protobuf", "src/osm"),
     ("clap", "pipeline"),
     ("indicatif", "pipeline"),
-    ("tch", "src/rl"),
+    ("tch", "src/rl/agent"),
 ];
 /// Macros and functions that only the command may use.
 const PRINTING: [&str; 6] = ["println!", "eprintln!", "print!", "eprint!", "dbg!", "process::exit"];

@@ -11,7 +11,7 @@ mod common;
 use std::ffi::OsString;
 use std::path::Path;
 
-use holescout::config::{Config, HeightDownsampling, Method, RsrpDownsampling};
+use holescout::config::{Config, HeightDownsampling, Loss, Method, RsrpDownsampling, TrainConfig};
 use holescout::units::Dbm;
 
 use common::{files, fixture, read, run, scratch, write};
@@ -52,6 +52,11 @@ strict = true
 [rl]
 hole_threshold_dbm = -95.0
 reach_cells = 10
+
+[train]
+updates = 10
+loss = "squared"
+widths = [1, 2, 3, 4, 5, 6, 7]
 
 [evaluate]
 methods = ["rsp", "bnp-12", "g-bnp-12-continuous"]
@@ -95,6 +100,8 @@ fn the_defaults_are_those_of_the_paper() {
         let method = method.parse().expect("a method");
         assert!(config.evaluate.methods.contains(&method), "{method}");
     }
+    let paper = TrainConfig::paper();
+    assert_eq!((paper.discount, paper.squared_reward, paper.loss), (0.99, 1.0, Loss::Squared));
     // Where the paper is silent.
     assert!(config.buildings.parts);
     assert_eq!(config.buildings.level_height_m, 3.0);

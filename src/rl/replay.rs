@@ -168,7 +168,7 @@ mod tests {
         let mut random = Random::keyed(&[n]);
         let mut cell = || Cell::new(random.below(121) as i32, random.below(121) as i32);
         let visited = (0..=n % 8).map(|_| cell()).collect();
-        let (next, terminal) = (cell(), n % 3 == 0);
+        let (next, terminal) = (cell(), n.is_multiple_of(3));
         let reward = REWARDS[(n % 3) as usize];
         Transition {
             map: n as u32,

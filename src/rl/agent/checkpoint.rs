@@ -17,6 +17,8 @@ use crate::error::{Fault, FileError, HasFault};
 use crate::rl::EpisodeState;
 use crate::store::write_atomic;
 
+/// What names of directories begin with that are not whole yet.
+pub(super) const TEMPORARY: &str = ".holescout-checkpoint-";
 const SCHEMA: &str = "checkpoint.v1";
 const WEIGHTS: &str = "weights.safetensors";
 const LEARNING: &str = "learning.safetensors";
@@ -129,7 +131,7 @@ impl Checkpoint {
     ) -> Result<(), CheckpointError> {
         let parent = directory.parent().unwrap_or(Path::new("."));
         std::fs::create_dir_all(parent).map_err(FileError::new("create", parent))?;
-        let temporary = tempfile::Builder::new().prefix(".holescout-").tempdir_in(parent);
+        let temporary = tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(parent);
         let temporary = temporary.map_err(FileError::new("create", parent))?;
         let (moments, updates) = adam.state();
         self.adam_updates = updates;

@@ -7,6 +7,8 @@ mod ddqn;
 mod network;
 mod policy;
 mod session;
+#[cfg(test)]
+mod tests;
 mod trainer;
 
 pub use adam::Adam;

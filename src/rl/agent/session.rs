@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::checkpoint::CheckpointError;
+use super::checkpoint::{CheckpointError, TEMPORARY};
 use super::network::QNetwork;
 use super::trainer::{Progress, TrainError, TrainJob, Trainer};
 use crate::error::{Fault, FileError, HasFault};
@@ -20,6 +20,7 @@ const KEPT: usize = 3;
 /// Updates that a line of the log sums up.
 const LOGGED: u64 = 100;
 const LOCK: &str = ".holescout-lock";
+const CHECKPOINTS: &str = "checkpoints";
 
 /// Why a run cannot begin or go on.
 #[derive(Debug, thiserror::Error)]
@@ -87,6 +88,8 @@ pub fn train(job: TrainJob<'_>, run: &Path, watch: &mut dyn Watch) -> Result<End
     if lock.try_lock().is_err() {
         return Err(SessionError::Busy { path: run.to_owned() });
     }
+    remove_leftovers(run)?;
+    remove_leftovers(&run.join(CHECKPOINTS))?;
     let mut trainer = match checkpoints(run)?.last() {
         Some(last) => Trainer::resume(job, last)?,
         None => Trainer::new(job)?,
@@ -128,7 +131,7 @@ fn ended(trainer: &Trainer<'_>, updates: u64) -> Ended {
 
 /// Writes a checkpoint, then removes the oldest.
 fn save(trainer: &Trainer<'_>, run: &Path) -> Result<(), SessionError> {
-    trainer.save(&run.join("checkpoints").join(format!("{:09}", trainer.updates())))?;
+    trainer.save(&run.join(CHECKPOINTS).join(format!("{:09}", trainer.updates())))?;
     let all = checkpoints(run)?;
     for old in &all[..all.len().saturating_sub(KEPT)] {
         std::fs::remove_dir_all(old).map_err(FileError::new("remove", old))?;
@@ -136,9 +139,20 @@ fn save(trainer: &Trainer<'_>, run: &Path) -> Result<(), SessionError> {
     Ok(())
 }
 
+/// Removes checkpoints that a killed run left half-written, which have temporary names.
+fn remove_leftovers(directory: &Path) -> Result<(), FileError> {
+    for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if entry.file_name().to_string_lossy().starts_with(TEMPORARY) && path.is_dir() {
+            std::fs::remove_dir_all(&path).map_err(FileError::new("remove", &path))?;
+        }
+    }
+    Ok(())
+}
+
 /// The checkpoints of a run, the oldest first. What a killed run left half-written has another name.
 fn checkpoints(run: &Path) -> Result<Vec<PathBuf>, FileError> {
-    let directory = run.join("checkpoints");
+    let directory = run.join(CHECKPOINTS);
     let entries = match std::fs::read_dir(&directory) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         other => other.map_err(FileError::new("list", &directory))?,

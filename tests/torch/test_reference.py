@@ -1,0 +1,42 @@
+"""The trainer's Q-values, losses and gradients (float32) against the reference in float64.
+
+HOLESCOUT_DATASET names a dataset with a train split, DDQN_REFERENCE the built example of that name.
+"""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+import torch
+from reference import loss, q_values
+from safetensors.torch import load_file
+
+TOLERANCE = 1e-5
+
+
+def double(path: Path) -> dict[str, torch.Tensor]:
+    return {name: one.double() if one.is_floating_point() else one for name, one in load_file(path).items()}
+
+
+@pytest.mark.parametrize("preset", ["best", "paper"])
+def test_losses_and_gradients_agree(tmp_path: Path, preset: str) -> None:
+    options = ["paper"] if preset == "paper" else []
+    command = [os.environ["DDQN_REFERENCE"], os.environ["HOLESCOUT_DATASET"], tmp_path, *options]
+    subprocess.run(command, check=True)
+    batch, policy, target, outputs = (
+        double(tmp_path / f"{name}.safetensors") for name in ("inputs", "policy", "target", "outputs")
+    )
+    assert batch["terminal"].sum() > 0, "no episode ended"
+    assert batch["reward"].unique().numel() == 3, "all three rewards"
+    for parameter in policy.values():
+        parameter.requires_grad_()
+    found = q_values(policy, batch["map"], batch["window"])[:, 0]
+    assert (found - outputs["q_values"]).abs().max() < TOLERANCE
+    total, q_loss = loss(policy, target, batch, preset == "paper")
+    assert abs(total - outputs["loss"]) < TOLERANCE
+    assert abs(q_loss - outputs["q_loss"]) < TOLERANCE
+    total.backward()
+    for name, parameter in policy.items():
+        assert parameter.grad.abs().max() > 0, name
+        assert (parameter.grad - outputs[name]).abs().max() < TOLERANCE, name
