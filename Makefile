@@ -28,6 +28,8 @@ BIN := target/release/holescout
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 REAL := tests/real
+LIBTORCH := $(CURDIR)/.libtorch
+TORCH := LIBTORCH=$(LIBTORCH)
 
 RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
@@ -102,10 +104,6 @@ tools:
 
 # libtorch for training, 540 MB instead of 3 GB: on a CPU `libtorch_cpu.so` needs two small libraries of CUDA beside
 # itself and nothing else of it. `libtorch.so`, which would ask for all of CUDA, is replaced by a linker script.
-LIBTORCH := $(CURDIR)/.libtorch
-
-TORCH := LIBTORCH=$(LIBTORCH)
-
 .PHONY: libtorch
 libtorch: $(LIBTORCH)/.installed
 
