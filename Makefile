@@ -210,4 +210,4 @@ bench: $(BIN) dataset $(VENV)/.installed
 
 .PHONY: clean
 clean:
-	rm -rf build target $(VENV)
+	rm -rf build target $(VENV) $(LIBTORCH)
