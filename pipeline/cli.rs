@@ -75,7 +75,10 @@ impl Command {
             Self::Shard(args) => args.dataset.apply(config),
             Self::Evaluate(args) => {
                 args.judging.apply(config);
-                args.agent.apply(config);
+                let methods = &mut config.evaluate.methods;
+                if args.policy.is_some() && !methods.contains(&Method::Agent) {
+                    methods.push(Method::Agent);
+                }
             }
             #[cfg(feature = "torch")]
             Self::Train(args) => args.training.apply(config),
@@ -186,35 +189,13 @@ pub(crate) struct EvaluateArgs {
     /// Which of its splits
     #[arg(long, value_enum, default_value_t = SplitChoice::Test)]
     pub(crate) split: SplitChoice,
-    #[command(flatten)]
-    pub(crate) agent: AgentArgs,
+    /// A checkpoint to evaluate as the method `agent`, for instance RUN/best (feature torch)
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub(crate) policy: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) output: OutputArgs,
     #[command(flatten)]
     pub(crate) judging: JudgingFlags,
-}
-
-/// A trained policy.
-#[derive(Debug, Args)]
-pub(crate) struct AgentArgs {
-    /// A checkpoint to evaluate as the method `agent`, for instance RUN/best
-    #[cfg(feature = "torch")]
-    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
-    pub(crate) policy: Option<PathBuf>,
-}
-
-impl AgentArgs {
-    #[cfg_attr(not(feature = "torch"), expect(clippy::unused_self, reason = "there is no flag"))]
-    fn apply(&self, config: &mut Config) {
-        #[cfg(feature = "torch")]
-        let policy = self.policy.is_some();
-        #[cfg(not(feature = "torch"))]
-        let policy = false;
-        let methods = &mut config.evaluate.methods;
-        if policy && !methods.contains(&Method::Agent) {
-            methods.push(Method::Agent);
-        }
-    }
 }
 
 #[cfg(feature = "torch")]

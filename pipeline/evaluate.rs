@@ -1,14 +1,12 @@
 //! `holescout evaluate`.
 
 use std::fmt::Write;
-#[cfg(feature = "torch")]
 use std::path::Path;
 
 use holescout::config::{Config, Split};
 use holescout::evaluate::{EvaluateJob, Interval, Report as Evaluation, evaluate};
 use holescout::progress::Progress;
-#[cfg(feature = "torch")]
-use holescout::{dataset::Dataset, rl::agent::Agent, rl::policy::MakePolicy, store::sha256_file};
+use holescout::rl::policy::MakePolicy;
 use serde_json::json;
 
 use crate::cli::{EvaluateArgs, SplitChoice};
@@ -20,13 +18,8 @@ pub(crate) fn run(
     config: &Config,
     console: &Console,
 ) -> Result<Report, Failure> {
-    #[cfg(feature = "torch")]
-    let agent =
-        args.agent.policy.as_deref().map(|policy| load(policy, args, config)).transpose()?;
-    #[cfg(feature = "torch")]
-    let agent = agent.as_ref().map(|(agent, sha256)| (agent as &dyn MakePolicy, &**sha256));
-    #[cfg(not(feature = "torch"))]
-    let agent = None;
+    let agent = args.policy.as_deref().map(|policy| load(policy, args, config)).transpose()?;
+    let agent = agent.as_ref().map(|(agent, sha256)| (&**agent, &**sha256));
     let job = EvaluateJob {
         dataset: &args.dataset,
         agent,
@@ -59,12 +52,24 @@ pub(crate) fn run(
 }
 
 /// A trained policy, and the SHA-256 of its weights.
+type Loaded = (Box<dyn MakePolicy>, String);
+
 #[cfg(feature = "torch")]
-fn load(policy: &Path, args: &EvaluateArgs, config: &Config) -> Result<(Agent, String), Failure> {
+fn load(policy: &Path, args: &EvaluateArgs, config: &Config) -> Result<Loaded, Failure> {
+    use holescout::{dataset::Dataset, rl::agent::Agent, store::sha256_file};
     let cells = Dataset::open(&args.dataset)?.manifest().cells as usize;
     let agent = Agent::load(policy, cells, &config.rl)?;
     let weights = policy.join("weights.safetensors");
-    Ok((agent, sha256_file(&weights)?.sha256))
+    Ok((Box::new(agent), sha256_file(&weights)?.sha256))
+}
+
+#[cfg(not(feature = "torch"))]
+fn load(policy: &Path, _: &EvaluateArgs, _: &Config) -> Result<Loaded, Failure> {
+    let policy = policy.display();
+    Err(Failure::input(format!(
+        "{policy}: this program was built without libtorch and knows no trained policies: \
+         build it with `make train`, or with the feature torch"
+    )))
 }
 
 /// Precision and recall with all starts, a line a method.

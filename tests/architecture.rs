@@ -400,7 +400,7 @@ fn what_is_allowed_is_not_reported() {
         ("src/config.rs", "use crate::units::Dbm;\nimpl crate::error::HasFault for X {}"),
         ("src/rasterise/stage.rs", "use crate::osm::Extract;\nuse crate::rasterise::tile;"),
         ("src/osm/pbf.rs", "use osmpbfreader::fileformat::Blob;\nuse protobuf::Message;"),
-        ("src/rl.rs", "use tch::Tensor;"),
+        ("src/rl/agent/network.rs", "use tch::Tensor;"),
         ("src/store/npz.rs", "use super::npy::NpyError;\nuse super::super::units::Db;"),
         (
             "src/units.rs",

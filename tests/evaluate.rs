@@ -213,6 +213,11 @@ fn what_cannot_be_evaluated_is_refused_with_the_mend() {
         assert_says(&refused, &[key, "expected"]);
     }
 
+    let agent = run(&mut evaluate(&out, &["--methods", "rsp,agent"])).refused();
+    assert_says(&agent, &["agent", "--policy"]);
+    let missing = run(&mut evaluate(&out, &["--policy", "nowhere"])).refused();
+    assert_says(&missing, &["nowhere"]);
+
     let occupied = run(&mut evaluate(&EVALUATION, &["--seed", "9"])).refused();
     assert_says(&occupied, &["--overwrite"]);
 }
