@@ -65,7 +65,7 @@ fn is_clear(world: &World, from: Cell, to: Cell) -> bool {
     !occupied.any(|cell| way.intersects(&square(&cell)))
 }
 
-fn policies(world: &World) -> Vec<Box<dyn Policy>> {
+fn policies<'a>(world: &World, hops: &'a Hops) -> Vec<Box<dyn Policy + 'a>> {
     let style =
         |keep_fraction, smoothing_cells| DescentStyle { rate: 1.0, smoothing_cells, keep_fraction };
     let near = neighbourhood(world, 8.0);
@@ -73,7 +73,7 @@ fn policies(world: &World) -> Vec<Box<dyn Policy>> {
         Box::new(RandomWalk),
         Box::new(WallWalk::new(world)),
         Box::new(ShadowSeeker::new(world)),
-        Box::new(OptimalWay::new(world, &SIGHT)),
+        Box::new(OptimalWay::new(hops)),
         Box::new(Descent::new(world, style(false, 0.0), None)),
         Box::new(Descent::new(world, style(true, 1.0), None)),
         Box::new(Descent::new(world, style(true, 0.0), Some(&near))),
@@ -100,7 +100,8 @@ proptest! {
 
     #[test]
     fn no_flight_touches_a_building(world in worlds(), seed: u64) {
-        for policy in policies(&world) {
+        let hops = Hops::new(&world, &SIGHT);
+        for policy in policies(&world, &hops) {
             for start in world.free_cells().into_iter().step_by(5) {
                 let mut flight = Flight::new(&world, &world, &SIGHT, start);
                 let mut random = Random::keyed(&[seed]);

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::record::{Grids, Record, RecordError};
+use crate::config::Split;
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, load};
@@ -90,6 +91,15 @@ impl Dataset {
     #[must_use]
     pub fn digest(&self) -> &Digest {
         &self.digest
+    }
+
+    /// The records with their splits, in the order of their names.
+    #[must_use]
+    pub fn ids(&self) -> Vec<(TileId, Split)> {
+        let shards = self.manifest.shards.iter().map(|shard| (&*shard.file, shard.split));
+        let splits: BTreeMap<&str, Split> = shards.collect();
+        let records = self.manifest.records.iter();
+        records.filter_map(|record| Some((record.id, *splits.get(&*record.shard)?))).collect()
     }
 
     /// Reads the record of a tile; the frame's checksum is verified.

@@ -84,7 +84,7 @@ pub(super) fn show(
         let all: Vec<u8> = (0..truth.cells() * truth.cells()).map(of).collect();
         BASE64_STANDARD.encode(all)
     };
-    let heights: Vec<f32> = truth.height_m().iter().copied().collect();
+    let heights = truth.heights();
     GalleryMap {
         id: truth.id(),
         split,

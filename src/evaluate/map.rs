@@ -1,5 +1,7 @@
 //! One map: all methods fly over it, and their predictions are counted.
 
+use std::sync::OnceLock;
+
 use super::methods;
 use super::report::Difficulty;
 use super::track::{Place, Track, fly};
@@ -16,6 +18,8 @@ pub(super) struct Scene {
     pub(super) truth: World,
     /// Where it differs from the truth.
     stored: Option<World>,
+    /// Least steps to a hole, once somebody asks.
+    hops: OnceLock<Hops>,
 }
 
 impl Scene {
@@ -29,7 +33,7 @@ impl Scene {
         } else {
             stale
         };
-        Self { truth, stored }
+        Self { truth, stored, hops: OnceLock::new() }
     }
 
     /// What a method flies in: the oracle knows the truth, and measures without error.
@@ -39,17 +43,27 @@ impl Scene {
         Place { truth, known: stored.unwrap_or(truth), sight }
     }
 
+    fn hops(&self, sight: &Sight) -> &Hops {
+        self.hops.get_or_init(|| Hops::new(&self.truth, sight))
+    }
+
     /// All flights of a method.
     pub(super) fn tracks(&self, method: Method, flying: Flying<'_>) -> Vec<Track> {
         let Flying { sight, config, agent } = flying;
         let place = self.place(method, sight);
         let starts = methods::starts(method, place, &config.evaluate);
         let key = methods::key(method, place, &config.evaluate);
-        let most = config.evaluate.steps.last().copied().unwrap_or(0);
-        match methods::policy(method, place, &config.evaluate, agent) {
-            Some(policy) => fly(place, &*policy, &starts, most, &key),
-            None => fly(place, &crate::rl::policy::RandomWalk, &starts, 0, &key),
-        }
+        let most = methods::steps(method, &config.evaluate).last().copied().unwrap_or(0);
+        let hops = || self.hops(sight);
+        let policy = methods::policy(method, place.known, hops, &config.evaluate, agent);
+        fly(place, &*policy, &starts, most, &key)
+    }
+
+    /// What a method comes to.
+    pub(super) fn judged(&self, method: Method, flying: Flying<'_>) -> MethodOnMap {
+        let config = &flying.config.evaluate;
+        let tracks = self.tracks(method, flying);
+        judge(&self.truth, &tracks, methods::steps(method, config), config)
     }
 }
 
@@ -113,20 +127,16 @@ pub(super) fn evaluate(scene: &Scene, flying: Flying<'_>) -> MapResult {
     let truth = &scene.truth;
     let outdoors: Vec<Cell> =
         truth.free_cells().into_iter().filter(|&cell| truth.is_outdoors(cell)).collect();
-    let methods = config.evaluate.methods.iter().map(|&method| {
-        let tracks = scene.tracks(method, flying);
-        judge(truth, &tracks, methods::steps(method, &config.evaluate), &config.evaluate)
-    });
+    let methods = config.evaluate.methods.iter().map(|&method| scene.judged(method, flying));
     MapResult {
         outdoor_cells: outdoors.len() as u64,
-        hole_cells: truth.holes().len() as u64,
-        difficulty: difficulty(truth, sight, &outdoors),
+        hole_cells: truth.hole_cells() as u64,
+        difficulty: difficulty(scene.hops(sight), &outdoors),
         methods: methods.collect(),
     }
 }
 
-fn difficulty(truth: &World, sight: &Sight, outdoors: &[Cell]) -> Difficulty {
-    let hops = Hops::new(truth, sight);
+fn difficulty(hops: &Hops, outdoors: &[Cell]) -> Difficulty {
     let mut difficulty = Difficulty::default();
     for &cell in outdoors {
         match hops.from(cell) {
@@ -167,7 +177,7 @@ fn judge(truth: &World, tracks: &[Track], steps: &[u32], config: &EvaluateConfig
 /// Precision and recall, as the paper's section "Evaluation Metric" defines them, of the
 /// predictions after at most k steps from the first 1, 2, 5 ... starts.
 fn scores(truth: &World, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore> {
-    let holes = truth.holes().len();
+    let holes = truth.hole_cells();
     let share = |part: usize, whole: usize| (whole > 0).then(|| part as f64 / whole as f64);
     let mut seen = vec![false; truth.cells() * truth.cells()];
     let (mut done, mut hits, mut unique) = (0, 0, 0);

@@ -6,7 +6,7 @@ use crate::config::{EvaluateConfig, Method};
 use crate::rl::policy::{
     Descent, DescentStyle, MakePolicy, OptimalWay, Policy, RandomWalk, ShadowSeeker, WallWalk,
 };
-use crate::rl::{Cell, Random, neighbourhood};
+use crate::rl::{Cell, Hops, Random, World, neighbourhood};
 
 /// Streams of random numbers beside those of the methods.
 const STARTS: u64 = 1;
@@ -105,14 +105,14 @@ pub(super) fn starts(method: Method, place: Place<'_>, config: &EvaluateConfig) 
     Random::keyed(&key).sample(&outdoors, config.starts as usize)
 }
 
-/// The policy that moves a method on a map; `None` if it does not move.
+/// The policy that moves a method on a map; one that does not move never asks for a waypoint.
 pub(super) fn policy<'a>(
     method: Method,
-    place: Place<'_>,
+    known: &World,
+    hops: impl FnOnce() -> &'a Hops,
     config: &EvaluateConfig,
     agent: Option<&'a dyn MakePolicy>,
-) -> Option<Box<dyn Policy + 'a>> {
-    let Place { truth, known, sight } = place;
+) -> Box<dyn Policy + 'a> {
     let style = |keep_fraction| DescentStyle {
         rate: config.gradient_rate,
         smoothing_cells: config.gradient_smoothing_cells,
@@ -122,18 +122,19 @@ pub(super) fn policy<'a>(
         let within = neighbourhood(known, metres.into());
         Descent::new(known, style(keep_fraction), Some(&within))
     };
-    Some(match method {
-        Method::RandomSampling | Method::Neighbourhood(_) => return None,
+    match method {
         Method::Gradient => Box::new(Descent::new(known, style(false), None)),
         Method::GradientContinuous => Box::new(Descent::new(known, style(true), None)),
         Method::BoundedGradient(metres) => Box::new(bounded(metres, false)),
         Method::BoundedGradientContinuous(metres) => Box::new(bounded(metres, true)),
         Method::Shadow => Box::new(ShadowSeeker::new(known)),
-        Method::RandomWalk => Box::new(RandomWalk),
+        Method::RandomSampling | Method::Neighbourhood(_) | Method::RandomWalk => {
+            Box::new(RandomWalk)
+        }
         Method::WallWalk => Box::new(WallWalk::new(known)),
-        Method::Oracle => Box::new(OptimalWay::new(truth, sight)),
+        Method::Oracle => Box::new(OptimalWay::new(hops())),
         Method::Agent => agent.expect("checked before anything flies").policy(known),
-    })
+    }
 }
 
 /// Keys the random numbers of a method on a map.

@@ -1,6 +1,5 @@
 //! `holescout evaluate`: a dataset in, a report out.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use rayon::prelude::*;
@@ -9,7 +8,7 @@ use super::bootstrap::Bootstrap;
 use super::chart::svg_to_png;
 use super::gallery;
 use super::groups::overlapping_pairs;
-use super::map::{self, Flying, MapResult, Scene};
+use super::map::{self, Flying, MapResult, MethodOnMap, Scene};
 use super::report::{DatasetUsed, MapsUsed, Report};
 use super::summary::Results;
 use super::{figures, methods, page, tables};
@@ -172,15 +171,10 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
 
 /// The records of the wanted splits, by name.
 fn records(dataset: &Dataset, job: EvaluateJob<'_>) -> Result<Vec<(TileId, Split)>, EvaluateError> {
-    let manifest = dataset.manifest();
-    let splits: BTreeMap<&str, Split> =
-        manifest.shards.iter().map(|shard| (&*shard.file, shard.split)).collect();
-    let with_split = manifest.records.iter().filter_map(|record| {
-        let split = *splits.get(&*record.shard)?;
-        job.split.is_none_or(|wanted| wanted == split).then_some((record.id, split))
-    });
-    let records: Vec<(TileId, Split)> = with_split.collect();
+    let mut records = dataset.ids();
+    records.retain(|(_, split)| job.split.is_none_or(|wanted| wanted == *split));
     if records.is_empty() {
+        let manifest = dataset.manifest();
         let others: Vec<&str> = manifest.statistics.keys().map(|split| split.name()).collect();
         return Err(EvaluateError::EmptySplit {
             split: job.split.map_or("whole", Split::name).to_owned(),
@@ -240,17 +234,14 @@ pub fn precision(
     maps: &[std::sync::Arc<World>],
     config: &Config,
 ) -> Vec<(u32, f64)> {
-    let mut config = config.clone();
-    config.evaluate.methods = vec![Method::Agent];
     let sight = Sight::new(config.rl.reach_cells);
-    let flying = Flying { sight: &sight, config: &config, agent: Some(agent) };
-    let results: Vec<MapResult> = maps
-        .par_iter()
-        .map(|map| map::evaluate(&Scene::new((**map).clone(), &config.evaluate), flying))
-        .collect();
+    let flying = Flying { sight: &sight, config, agent: Some(agent) };
+    let scene = |map: &World| Scene::new(map.clone(), &config.evaluate);
+    let results: Vec<MethodOnMap> =
+        maps.par_iter().map(|map| scene(map).judged(Method::Agent, flying)).collect();
     let steps = config.evaluate.steps.iter().enumerate();
     let mean = |at: usize| {
-        let scores = results.iter().filter_map(|map| map.methods[0].scores[at].last()?.precision);
+        let scores = results.iter().filter_map(|map| map.scores[at].last()?.precision);
         let scores: Vec<f64> = scores.collect();
         scores.iter().sum::<f64>() / scores.len().max(1) as f64
     };

@@ -270,12 +270,6 @@ impl World {
         self.contains(cell) && self.occupied[self.index(cell)]
     }
 
-    /// Whether a cell is occupied and has a free neighbour in the map.
-    #[must_use]
-    pub fn is_wall(&self, cell: Cell) -> bool {
-        is_wall(self.cells, &self.occupied, cell)
-    }
-
     /// Whether a cell lies in the map, is not occupied, and is no building in the record either.
     #[must_use]
     pub fn is_outdoors(&self, cell: Cell) -> bool {
@@ -309,6 +303,12 @@ impl World {
     pub fn holes(&self) -> Vec<Cell> {
         let all = 0..self.cells * self.cells;
         all.filter(|&at| self.holes[at]).map(|at| self.cell(at)).collect()
+    }
+
+    /// Number of coverage holes.
+    #[must_use]
+    pub fn hole_cells(&self) -> usize {
+        self.holes.iter().filter(|&&hole| hole).count()
     }
 
     /// Number of cells below the threshold, indoors included: the paper's literal set of holes.

@@ -3,7 +3,6 @@
 use super::{Policy, View, each};
 use crate::rl::cell::Cell;
 use crate::rl::oracle::Hops;
-use crate::rl::sight::Sight;
 use crate::rl::world::World;
 
 /// A permissible cell at random: what any method that learns must beat.
@@ -66,26 +65,20 @@ impl Policy for WallWalk {
 
 /// A shortest way to a hole, each step as near as possible; stays where no hole can be reached.
 /// It knows everything: the bound of all methods.
-#[derive(Debug, Clone)]
-pub struct OptimalWay {
-    hops: Hops,
+#[derive(Debug, Clone, Copy)]
+pub struct OptimalWay<'a> {
+    hops: &'a Hops,
 }
 
-impl OptimalWay {
-    /// For the true map.
+impl<'a> OptimalWay<'a> {
+    /// By the least steps to a hole on the true map.
     #[must_use]
-    pub fn new(truth: &World, sight: &Sight) -> Self {
-        Self { hops: Hops::new(truth, sight) }
-    }
-
-    /// Least steps to a hole.
-    #[must_use]
-    pub fn hops(&self) -> &Hops {
-        &self.hops
+    pub fn new(hops: &'a Hops) -> Self {
+        Self { hops }
     }
 }
 
-impl Policy for OptimalWay {
+impl Policy for OptimalWay<'_> {
     fn predict(&self, views: &mut [View<'_, '_>]) -> Vec<[f64; 2]> {
         each(views, |view| {
             let (from, actions) = (view.flight.cell(), view.flight.sight().actions());
@@ -106,6 +99,7 @@ mod tests {
     use super::*;
     use crate::rl::flight::Flight;
     use crate::rl::random::Random;
+    use crate::rl::sight::Sight;
     use crate::rl::world::tests::world;
 
     fn predicted(policy: &dyn Policy, map: &World, sight: &Sight, from: Cell, seed: u64) -> Cell {
@@ -138,7 +132,8 @@ mod tests {
     #[test]
     fn the_shortest_way_is_taken_to_its_end() {
         let (map, sight) = (world("..#..\n..#.o\n..#..\n..#..\n.....", 2), Sight::new(2));
-        let oracle = OptimalWay::new(&map, &sight);
+        let hops = Hops::new(&map, &sight);
+        let oracle = OptimalWay::new(&hops);
         let mut at = Cell::new(2, 1);
         let mut steps = 0;
         while !map.is_hole(at) {
