@@ -208,6 +208,7 @@ fn scores(truth: &World, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore>
 mod tests {
     use super::*;
     use crate::rl::drawn_world as world;
+    use proptest::prelude::*;
 
     fn track(cells: &[(i32, i32)]) -> Track {
         let path = cells.iter().map(|&(row, column)| Cell::new(row, column)).collect();
@@ -246,6 +247,25 @@ mod tests {
         assert_eq!(at(8), score(0.8, 0.75, 0.6));
         assert_eq!(scores(&truth, &tracks, 1, 5)[1], score(1.0, 0.25, 0.2), "two starts");
         assert_eq!(scores(&truth, &tracks[..2], 1, 5)[2], score(1.0, 0.25, 0.2), "all there are");
+    }
+
+    proptest! {
+        #[test]
+        fn scores_are_shares_and_recall_never_falls(ends in proptest::collection::vec(0..25_usize, 1..40)) {
+            let truth = world(".o.o#\n##.o.\no..#.\n.oo..\n#...o", 2);
+            let tracks: Vec<Track> = ends
+                .iter()
+                .map(|&end| truth.cell(end))
+                .map(|end| track(&[(0, 0), (end.row, end.column)]))
+                .collect();
+            let scores = scores(&truth, &tracks, 1, 40);
+            let is_share = |value: Option<f64>| value.is_some_and(|v| (0.0..=1.0).contains(&v));
+            for score in &scores {
+                prop_assert!(is_share(score.precision) && is_share(score.recall));
+                prop_assert!(is_share(score.recall_with_indoor));
+            }
+            prop_assert!(scores.is_sorted_by(|a, b| a.recall <= b.recall));
+        }
     }
 
     #[test]
