@@ -6,6 +6,7 @@
 
 mod card;
 mod downsample;
+mod loader;
 mod read;
 mod record;
 mod render;
@@ -16,6 +17,7 @@ mod verify;
 mod view;
 
 pub use downsample::{downsample_heights, downsample_rsrp};
+pub use loader::{Loaded, Loader, LoaderError, LoaderOptions, Order};
 pub use read::{Dataset, ReadError};
 #[cfg(test)]
 pub(crate) use record::tests::example;

@@ -102,18 +102,19 @@ impl Dataset {
         records.filter_map(|record| Some((record.id, *splits.get(&*record.shard)?))).collect()
     }
 
+    /// Where the dataset lies.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// Reads the record of a tile; the frame's checksum is verified.
     ///
     /// # Errors
     /// [`ReadError`] names file and frame.
     pub fn record(&self, id: TileId) -> Result<Record, ReadError> {
-        let entry = self.index.get(&id).ok_or_else(|| ReadError::Unknown {
-            id,
-            records: self.index.len(),
-            example: self.index.keys().next().map_or_else(String::new, ToString::to_string),
-        })?;
-        let mut shard = ShardReader::open(&self.root.join(&entry.shard))?;
-        shard.record(entry.frame as usize)
+        let entry = self.entry(id)?;
+        self.open_shard(&entry.shard)?.record(entry.frame as usize)
     }
 
     /// Reads the record of a tile with its arrays, whose values are checked.
@@ -121,13 +122,9 @@ impl Dataset {
     /// # Errors
     /// [`ReadError`] names file and frame.
     pub fn record_with_grids(&self, id: TileId) -> Result<(Record, Grids), ReadError> {
-        let record = self.record(id)?;
-        let grids = record.sound_grids(self.manifest.cells as usize).map_err(|source| {
-            let entry = &self.index[&id];
-            let shard = self.root.join(&entry.shard);
-            ReadError::Record { shard, frame: entry.frame as usize, source }
-        })?;
-        Ok((record, grids))
+        let entry = self.entry(id)?;
+        let mut shard = self.open_shard(&entry.shard)?;
+        shard.record_with_grids(entry.frame as usize, self.manifest.cells as usize)
     }
 
     /// All records of a shard, one after the other.
@@ -138,8 +135,22 @@ impl Dataset {
         &self,
         file: &str,
     ) -> Result<impl Iterator<Item = Result<Record, ReadError>> + use<>, ReadError> {
-        let mut reader = ShardReader::open(&self.root.join(file))?;
+        let mut reader = self.open_shard(file)?;
         Ok((0..reader.table.len()).map(move |frame| reader.record(frame)))
+    }
+
+    /// Where the record of a tile is.
+    pub(super) fn entry(&self, id: TileId) -> Result<&IndexEntry, ReadError> {
+        self.index.get(&id).ok_or_else(|| ReadError::Unknown {
+            id,
+            records: self.index.len(),
+            example: self.index.keys().next().map_or_else(String::new, ToString::to_string),
+        })
+    }
+
+    /// Opens a shard by its path within the dataset.
+    pub(super) fn open_shard(&self, file: &str) -> Result<ShardReader, ReadError> {
+        ShardReader::open(&self.root.join(file))
     }
 }
 
@@ -165,6 +176,26 @@ impl ShardReader {
 
     pub(super) fn len(&self) -> usize {
         self.table.len()
+    }
+
+    /// Bytes that the largest frame unpacks to.
+    pub(super) fn largest_frame(&self) -> usize {
+        self.table.largest_frame()
+    }
+
+    /// A record with its arrays, `[cells, cells]`, whose values are checked.
+    pub(super) fn record_with_grids(
+        &mut self,
+        frame: usize,
+        cells: usize,
+    ) -> Result<(Record, Grids), ReadError> {
+        let record = self.record(frame)?;
+        let grids = record.sound_grids(cells).map_err(|source| ReadError::Record {
+            shard: self.path.clone(),
+            frame,
+            source,
+        })?;
+        Ok((record, grids))
     }
 
     pub(super) fn record(&mut self, frame: usize) -> Result<Record, ReadError> {

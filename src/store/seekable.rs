@@ -204,6 +204,13 @@ impl SeekTable {
         self.entries.is_empty()
     }
 
+    /// Bytes that the largest readable frame unpacks to, as the table says; 0 without frames.
+    #[must_use]
+    pub fn largest_frame(&self) -> usize {
+        let sizes = self.entries.iter().map(|entry| entry.decompressed);
+        sizes.filter(|size| *size <= MAX_FRAME_BYTES).max().unwrap_or(0) as usize
+    }
+
     /// Reads and unpacks one frame; its checksum is verified.
     ///
     /// # Errors
@@ -254,6 +261,7 @@ mod tests {
         let bytes = written(&[b"first", b"", b"third"]);
         let (mut file, table) = opened(&bytes).expect("valid");
         assert_eq!(table.len(), 3);
+        assert_eq!(table.largest_frame(), 5);
         assert_eq!(table.frame(&mut file, 2).expect("whole"), b"third");
         assert_eq!(table.frame(&mut file, 0).expect("whole"), b"first");
         assert_eq!(table.frame(&mut file, 1).expect("whole"), b"");

@@ -1,0 +1,158 @@
+//! What threads have done, in the order in which it is wanted.
+
+use std::collections::BTreeMap;
+use std::num::NonZero;
+use std::sync::{Condvar, Mutex, MutexGuard};
+use std::time::{Duration, Instant};
+
+/// A reorder buffer between workers, which claim cursors in turn, and one consumer, which takes
+/// the results in the order of their cursors. Cursors wrap around after 2^64 - 1.
+#[derive(Debug)]
+pub(super) struct Queue<R> {
+    /// Most cursors that are claimed and not taken.
+    window: NonZero<usize>,
+    state: Mutex<State<R>>,
+    /// Signals the consumer: the result that is wanted next is there.
+    filled: Condvar,
+    /// Signals the workers: a cursor may be claimed, or there is nothing left to do.
+    freed: Condvar,
+}
+
+#[derive(Debug)]
+struct State<R> {
+    /// The cursor to be taken next.
+    wanted: u64,
+    /// The cursor to be claimed next, at most `window` ahead of `wanted`.
+    unclaimed: u64,
+    results: BTreeMap<u64, R>,
+    stopped: bool,
+}
+
+impl<R> Queue<R> {
+    pub(super) fn new(cursor: u64, window: NonZero<usize>) -> Self {
+        let (results, stopped) = (BTreeMap::new(), false);
+        let state = Mutex::new(State { wanted: cursor, unclaimed: cursor, results, stopped });
+        Self { window, state, filled: Condvar::new(), freed: Condvar::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<R>> {
+        self.state.lock().expect("nothing panics while it holds the lock")
+    }
+
+    pub(super) fn window(&self) -> NonZero<usize> {
+        self.window
+    }
+
+    /// The cursor that is taken next.
+    pub(super) fn wanted(&self) -> u64 {
+        self.lock().wanted
+    }
+
+    /// The next cursor to work on, once it is inside the window; `None` after
+    /// [`Queue::stop`].
+    pub(super) fn claim(&self) -> Option<u64> {
+        let window = self.window.get() as u64;
+        let is_full = |state: &mut State<R>| {
+            !state.stopped && state.unclaimed.wrapping_sub(state.wanted) >= window
+        };
+        let waited = self.freed.wait_while(self.lock(), is_full);
+        let mut state = waited.expect("nothing panics while it holds the lock");
+        if state.stopped {
+            return None;
+        }
+        let claimed = state.unclaimed;
+        state.unclaimed = claimed.wrapping_add(1);
+        Some(claimed)
+    }
+
+    /// Hands over the result of a claimed cursor.
+    pub(super) fn put(&self, cursor: u64, result: R) {
+        let mut state = self.lock();
+        state.results.insert(cursor, result);
+        if cursor == state.wanted {
+            self.filled.notify_one();
+        }
+    }
+
+    /// The next result, and how long it was waited for.
+    pub(super) fn take(&self) -> (R, Duration) {
+        let mut state = self.lock();
+        let mut waited = Duration::ZERO;
+        loop {
+            let wanted = state.wanted;
+            if let Some(result) = state.results.remove(&wanted) {
+                state.wanted = wanted.wrapping_add(1);
+                self.freed.notify_one();
+                return (result, waited);
+            }
+            let begin = Instant::now();
+            state = self.filled.wait(state).expect("nothing panics while it holds the lock");
+            waited += begin.elapsed();
+        }
+    }
+
+    /// Sends the workers home.
+    pub(super) fn stop(&self) {
+        self.lock().stopped = true;
+        self.freed.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread;
+
+    use super::*;
+
+    fn queue(cursor: u64, window: usize) -> Queue<u64> {
+        Queue::new(cursor, NonZero::new(window).expect("a window"))
+    }
+
+    #[test]
+    fn results_come_in_the_order_of_cursors_across_the_last_one() {
+        let queue = queue(u64::MAX - 1, 4);
+        let claimed: Vec<_> = (0..4).map(|_| queue.claim().expect("a cursor")).collect();
+        assert_eq!(claimed, [u64::MAX - 1, u64::MAX, 0, 1]);
+        claimed.iter().rev().for_each(|cursor| queue.put(*cursor, *cursor));
+        for cursor in claimed {
+            assert_eq!(queue.wanted(), cursor);
+            assert_eq!(queue.take(), (cursor, Duration::ZERO));
+        }
+    }
+
+    #[test]
+    fn claims_wait_for_the_window_and_end_with_a_stop() {
+        let queue = queue(0, 2);
+        thread::scope(|scope| {
+            assert_eq!((queue.claim(), queue.claim()), (Some(0), Some(1)));
+            let third = scope.spawn(|| queue.claim());
+            queue.put(1, 1);
+            thread::sleep(Duration::from_millis(20));
+            assert!(!third.is_finished(), "a result out of order frees nothing");
+            queue.put(0, 0);
+            queue.take();
+            assert_eq!(third.join().expect("no panic"), Some(2));
+            let blocked: Vec<_> = (0..3).map(|_| scope.spawn(|| queue.claim())).collect();
+            queue.take();
+            thread::sleep(Duration::from_millis(20));
+            queue.stop();
+            let claimed = blocked.into_iter().filter_map(|it| it.join().expect("no panic"));
+            assert_eq!(claimed.collect::<Vec<_>>(), [3]);
+        });
+    }
+
+    #[test]
+    fn the_time_that_is_waited_is_measured() {
+        let queue = queue(0, 1);
+        let late = Duration::from_millis(50);
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                thread::sleep(late);
+                queue.put(0, 0);
+            });
+            let begin = Instant::now();
+            let (_, waited) = queue.take();
+            assert!(waited <= begin.elapsed() && waited > late / 2, "{waited:?}");
+        });
+    }
+}

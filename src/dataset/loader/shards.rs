@@ -1,0 +1,38 @@
+//! The shards that a worker keeps open.
+
+use std::sync::Arc;
+
+use crate::dataset::read::{Dataset, ReadError, ShardReader};
+use crate::dataset::record::{Grids, Record};
+use crate::grid::TileId;
+
+/// Open shards of a dataset, so that file and seek table are not read again for every record.
+pub(super) struct OpenShards {
+    dataset: Arc<Dataset>,
+    /// Most shards that stay open.
+    most: usize,
+    /// Shards by their paths within the dataset, the one used last first.
+    readers: Vec<(String, ShardReader)>,
+}
+
+impl OpenShards {
+    pub(super) fn new(dataset: Arc<Dataset>, most: usize) -> Self {
+        Self { dataset, most, readers: Vec::new() }
+    }
+
+    /// A record with its arrays, as [`Dataset::record_with_grids`] reads it. A shard that fails
+    /// is closed, so that it is read anew for its next record.
+    pub(super) fn read(&mut self, id: TileId) -> Result<(Record, Grids), ReadError> {
+        let entry = self.dataset.entry(id)?;
+        let open = self.readers.iter().position(|(file, _)| *file == entry.shard);
+        let (file, mut reader) = match open {
+            Some(at) => self.readers.remove(at),
+            None => (entry.shard.clone(), self.dataset.open_shard(&entry.shard)?),
+        };
+        let cells = self.dataset.manifest().cells as usize;
+        let read = reader.record_with_grids(entry.frame as usize, cells)?;
+        self.readers.insert(0, (file, reader));
+        self.readers.truncate(self.most.max(1));
+        Ok(read)
+    }
+}

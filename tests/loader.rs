@@ -1,0 +1,290 @@
+//! The loader of training on a real dataset: the same records in the same order with any number
+//! of threads and after any interruption, in bounded memory, past damage and panics.
+#![allow(clippy::panic, reason = "helpers of tests fail by panicking")]
+
+mod pipeline;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZero;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock, mpsc};
+use std::time::{Duration, Instant};
+
+use holescout::config::Split;
+use holescout::dataset::{Dataset, Grids, Loader, LoaderError, LoaderOptions, Order, Record};
+use holescout::error::{Fault, HasFault};
+use holescout::grid::TileId;
+use holescout::store::SeekTable;
+
+use pipeline::{HELSINKI, Random, assert_says, copy_of, read, run, shard, shared_dir, write};
+
+const SEED: u64 = 7;
+/// Memory for some 250 records, in bytes.
+const PLENTY: usize = 1 << 26;
+
+/// The fixtures' dataset with two records a shard, so that there are several.
+static DATASET: LazyLock<PathBuf> = LazyLock::new(|| {
+    let out = shared_dir("loader").join("dataset");
+    let mut command = shard(&HELSINKI.tiles, &HELSINKI.rsrp, &out);
+    run(command.args(["--records-per-shard", "2"])).succeeds();
+    out
+});
+
+fn open(root: &Path) -> Arc<Dataset> {
+    Arc::new(Dataset::open(root).expect("opened"))
+}
+
+fn options(threads: usize, memory_bytes: usize) -> LoaderOptions {
+    LoaderOptions { seed: SEED, threads: NonZero::new(threads).expect("threads"), memory_bytes }
+}
+
+/// What tells whether a record and all of its values are those that they should be.
+type Seen = (TileId, Record, Grids);
+
+fn seen(record: Record, grids: Grids) -> Seen {
+    (record.id, record, grids)
+}
+
+fn train(threads: usize, memory_bytes: usize, cursor: u64) -> Loader<Seen> {
+    let options = options(threads, memory_bytes);
+    Loader::new(&open(&DATASET), Split::Train, options, cursor, seen).expect("begun")
+}
+
+/// Cursor, number and record of the next items.
+fn take(loader: &mut Loader<Seen>, count: usize) -> Vec<(u64, u32, Seen)> {
+    let items = loader.take(count).map(|item| item.expect("sound"));
+    items.map(|item| (item.cursor, item.number, item.value)).collect()
+}
+
+fn records(split: Split) -> Vec<TileId> {
+    let ids = open(&DATASET).ids();
+    ids.into_iter().filter(|(_, of)| *of == split).map(|(id, _)| id).collect()
+}
+
+fn order(split: Split) -> Order {
+    let records = records(split).len() as u32;
+    Order::new(SEED, NonZero::new(records).expect("records"))
+}
+
+#[test]
+fn any_number_of_threads_gives_the_order_and_the_records_of_the_dataset() {
+    let (dataset, ids, order) = (open(&DATASET), records(Split::Train), order(Split::Train));
+    let shards = dataset.manifest().shards.iter().filter(|shard| shard.split == Split::Train);
+    assert!(shards.count() > 2, "several shards");
+    let count = 3 * ids.len() + 1;
+    // Of 200 threads each keeps one shard open only.
+    for threads in [1, 2, 8, 200] {
+        let mut loader = train(threads, PLENTY, 0);
+        assert_eq!(loader.ids(), ids);
+        let items = take(&mut loader, count);
+        assert_eq!((items.len(), loader.cursor()), (count, count as u64));
+        for (expected, (cursor, number, (id, record, grids))) in (0..).zip(items) {
+            assert_eq!((cursor, number), (expected, order.at(cursor).1));
+            assert_eq!(id, ids[number as usize]);
+            let (same_record, same_grids) = dataset.record_with_grids(id).expect("read");
+            assert!(record == same_record && grids == same_grids, "{id} differs");
+        }
+    }
+}
+
+#[test]
+fn every_epoch_has_every_record_once_and_an_order_of_its_own() {
+    for split in [Split::Train, Split::Val] {
+        let dataset = open(&DATASET);
+        let loader = Loader::new(&dataset, split, options(2, PLENTY), 0, |record, _| record.id);
+        let ids = records(split);
+        let loaded = loader.expect("begun").take(6 * ids.len());
+        let loaded: Vec<TileId> = loaded.map(|item| item.expect("sound").value).collect();
+        let mut orders = BTreeSet::new();
+        for epoch in loaded.chunks(ids.len()) {
+            let mut sorted = epoch.to_vec();
+            sorted.sort_unstable();
+            assert_eq!(sorted, ids);
+            orders.insert(epoch);
+        }
+        assert!(orders.len() > 1, "epochs of {split} are alike");
+    }
+}
+
+#[test]
+fn an_interrupted_sequence_is_continued_exactly() {
+    let uninterrupted = take(&mut train(1, PLENTY, 0), 300);
+    let mut random = Random(31);
+    let (mut pieces, mut interruptions, mut cursor) = (Vec::new(), 0, 0);
+    while pieces.len() < uninterrupted.len() {
+        let memory = [0, 1 << 20, PLENTY][random.below(3)];
+        let mut loader = train(1 + random.below(8), memory, cursor);
+        let count = random.below(12).min(uninterrupted.len() - pieces.len());
+        pieces.extend(take(&mut loader, count));
+        cursor = loader.cursor();
+        assert_eq!(cursor, pieces.len() as u64);
+        interruptions += 1;
+    }
+    assert!(interruptions > 40, "only {interruptions} interruptions");
+    assert!(pieces == uninterrupted, "a continuation differs");
+}
+
+/// Counts what is decoded and not yet dropped.
+struct Live(Arc<AtomicUsize>);
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+#[test]
+fn memory_bounds_what_is_decoded_ahead() {
+    // Arrays of 9 bytes a cell, once as they are and once in a frame with its other fields.
+    let record = 2 * 121 * 121 * 9 + 10_000;
+    for (memory, window) in [(0, 1), (record - 20_000, 1), (record, 1), (5 * record, 5)] {
+        let (live, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let decode = {
+            let (live, most) = (Arc::clone(&live), Arc::clone(&most));
+            move |_: Record, _: Grids| {
+                most.fetch_max(1 + live.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
+                Live(Arc::clone(&live))
+            }
+        };
+        let options = options(3, memory);
+        let mut loader =
+            Loader::new(&open(&DATASET), Split::Train, options, 0, decode).expect("begun");
+        assert_eq!(loader.window().get(), window, "{memory} bytes");
+        let begin = Instant::now();
+        while most.load(Ordering::SeqCst) < window {
+            assert!(begin.elapsed() < Duration::from_secs(20), "the window is never filled");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        for _ in 0..20 {
+            // The item is dropped before the next one is wanted.
+            drop(loader.next().expect("endless").expect("sound"));
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        // One item is in the hand of the consumer until it is dropped.
+        let most = most.load(Ordering::SeqCst);
+        assert!((window..=window + 1).contains(&most), "{most} records, a window of {window}");
+        drop(loader);
+        assert_eq!(live.load(Ordering::SeqCst), 0, "nothing is left behind");
+    }
+}
+
+#[test]
+fn waiting_is_measured() {
+    let slow = |_: Record, _: Grids| std::thread::sleep(Duration::from_millis(20));
+    let dataset = open(&DATASET);
+    let mut loader = Loader::new(&dataset, Split::Train, options(1, 0), 0, slow).expect("begun");
+    assert_eq!(loader.waited(), Duration::ZERO);
+    let begin = Instant::now();
+    (&mut loader).take(5).for_each(|item| assert!(item.is_ok()));
+    let waited = loader.waited();
+    assert!(waited > Duration::from_millis(50) && waited <= begin.elapsed(), "{waited:?}");
+}
+
+// What goes wrong ------------------------------------------------------------------------
+
+/// Flips a byte in the middle of the first frame of a shard.
+fn damage_first_frame(shard: &Path) {
+    let (_, table) = SeekTable::open(shard).expect("a shard");
+    let mut bytes = read(shard);
+    assert!(table.len() > 1, "another frame stays whole");
+    bytes[1000] ^= 0x10;
+    write(shard, bytes);
+}
+
+#[test]
+fn a_damaged_record_is_an_error_in_its_place_and_the_others_come() {
+    let (_dir, root, _) = copy_of(&DATASET);
+    let dataset = open(&root);
+    let mut shards = dataset.manifest().shards.iter().filter(|shard| shard.split == Split::Train);
+    let (flipped, cut) = (shards.next().expect("a shard"), shards.next().expect("another"));
+    damage_first_frame(&root.join(&flipped.file));
+    let half = read(&root.join(&cut.file));
+    write(&root.join(&cut.file), &half[..half.len() / 2]);
+    let places: BTreeMap<TileId, (&str, u32)> = dataset
+        .manifest()
+        .records
+        .iter()
+        .map(|entry| (entry.id, (&*entry.shard, entry.frame)))
+        .collect();
+
+    let ids = records(Split::Train);
+    for threads in [1, 4] {
+        let dataset = open(&root);
+        let loader = Loader::new(&dataset, Split::Train, options(threads, PLENTY), 0, seen);
+        let mut failed = 0;
+        for (cursor, item) in (0..).zip(loader.expect("begun").take(2 * ids.len())) {
+            let id = ids[order(Split::Train).at(cursor).1 as usize];
+            let (shard, frame) = places[&id];
+            let is_damaged = shard == cut.file || (shard == flipped.file && frame == 0);
+            match item {
+                Ok(item) => {
+                    assert!(!is_damaged, "{shard}: damage unnoticed");
+                    assert_eq!((item.cursor, item.value.0), (cursor, id));
+                }
+                Err(error) => {
+                    assert!(is_damaged, "{shard} is whole, but: {error}");
+                    let reason = if shard == cut.file { "seek table" } else { "frame 0" };
+                    assert_says(&error.to_string(), &[shard, reason]);
+                    failed += 1;
+                }
+            }
+        }
+        assert_eq!(failed, 2 * (1 + cut.records), "in two epochs");
+    }
+}
+
+#[test]
+fn an_empty_split_is_refused() {
+    let begun = Loader::new(&open(&DATASET), Split::Test, options(1, PLENTY), 0, seen);
+    let error = begun.expect_err("the fixtures have no such split");
+    assert!(matches!(error, LoaderError::Empty { split: Split::Test, .. }));
+    assert_eq!(error.fault(), Fault::Input);
+    assert_says(&error.to_string(), &["dataset", "split test", "train, val"]);
+}
+
+#[test]
+fn a_panic_of_decode_reaches_the_consumer_in_its_place() {
+    let (ids, order) = (records(Split::Train), order(Split::Train));
+    let unlucky = ids[order.at(3).1 as usize];
+    let decode = move |record: Record, _: Grids| {
+        assert!(record.id != unlucky, "cannot stand {unlucky}");
+        record.id
+    };
+    let options = options(2, PLENTY);
+    let mut loader = Loader::new(&open(&DATASET), Split::Train, options, 0, decode).expect("begun");
+    let mut panics = 0;
+    for cursor in 0..2 * ids.len() as u64 {
+        let expected = ids[order.at(cursor).1 as usize];
+        match catch_unwind(AssertUnwindSafe(|| loader.next())) {
+            Ok(item) => assert_eq!(item.expect("endless").expect("sound").value, expected),
+            Err(panic) => {
+                assert_eq!(expected, unlucky);
+                let message = panic.downcast_ref::<String>().expect("a message");
+                assert_says(message, &["cannot stand", &unlucky.to_string()]);
+                panics += 1;
+            }
+        }
+        assert_eq!(loader.cursor(), cursor + 1);
+    }
+    assert_eq!(panics, 2, "in two epochs");
+}
+
+#[test]
+fn a_loader_that_is_dropped_ends_at_once() {
+    let (done, ended) = mpsc::channel();
+    std::thread::spawn(move || {
+        for (threads, memory, count) in
+            [(1, 0, 0), (8, 0, 1), (2, 1 << 20, 0), (8, 3 << 20, 5), (8, PLENTY, 3)]
+        {
+            let mut loader = train(threads, memory, 0);
+            take(&mut loader, count);
+            // By now the workers with little memory are blocked.
+            std::thread::sleep(Duration::from_millis(30));
+            drop(loader);
+        }
+        done.send(()).expect("the test waits");
+    });
+    ended.recv_timeout(Duration::from_secs(60)).expect("no loader hangs");
+}
