@@ -163,10 +163,11 @@ test-torch: dataset $(LIBTORCH)/.installed | tools-torch
 	$(TORCH) cargo clippy --locked --features torch --all-targets -- -D warnings
 	$(TORCH) cargo test --locked --features torch --lib rl::agent
 	$(TORCH) cargo test --locked --features torch --test train
-	$(TORCH) cargo build --locked --features torch --example ddqn_reference
+	$(TORCH) cargo build --locked --features torch --bin holescout --example ddqn_reference
 	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
 	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
-	  HOLESCOUT_DATASET=$(abspath $(OUT))/dataset DDQN_REFERENCE=$(abspath target/debug/examples/ddqn_reference) \
+	  HOLESCOUT=$(abspath target/debug/holescout) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset \
+	  DDQN_REFERENCE=$(abspath target/debug/examples/ddqn_reference) \
 	  $(PYTHON) -m pytest -q tests/torch
 
 # The report of an evaluation in a real browser.

@@ -1,78 +1,104 @@
 //! Writes a batch with the losses and gradients that the trainer has for it, for the comparison with
 //! a reference in `PyTorch`.
 //!
-//! `ddqn_reference DATASET OUT [paper]`: makes transitions at random on the train split, two networks
+//! `ddqn_reference DATASET OUT [paper|other|POLICY]`: makes transitions at random on the train split, two networks
 //! with different weights, and writes `OUT/{inputs,policy,target,outputs}.safetensors`.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use holescout::config::{Precision, RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
-use holescout::rl::agent::{Batcher, QNetwork, loss};
-use holescout::rl::{Environment, Random, Transition, load_split};
-use tch::{Device, Tensor};
+use holescout::rl::agent::{Batcher, QNetwork, load_weights, loss};
+use holescout::rl::{Environment, MapPool, Random, Recent, load_split};
+use tch::{Device, Kind, Tensor};
 
 const BATCH: usize = 16;
+const STEPS: usize = 12;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [dataset, out, preset @ ..] = &arguments[..] else {
-        return Err("usage: ddqn_reference DATASET OUT [paper]".into());
+        return Err("usage: ddqn_reference DATASET OUT [paper|other|POLICY]".into());
     };
     let (rl, out) = (RlConfig::default(), Path::new(out));
-    let preset = if preset.is_empty() { TrainConfig::default() } else { TrainConfig::paper() };
+    let best = TrainConfig::default();
+    let (preset, loaded) = match preset {
+        [] => (best, None),
+        [name] if name == "paper" => (TrainConfig::paper(), None),
+        // What neither of the presets uses.
+        [name] if name == "other" => {
+            (TrainConfig { return_steps: 3, dueling: true, priority_exponent: 0.6, ..best }, None)
+        }
+        [path, ..] => {
+            let (train, network) = load_weights(path.as_ref(), 121, &rl, Device::Cpu)?;
+            (train, Some(network))
+        }
+    };
     let train = TrainConfig { precision: Precision::Float32, ..preset };
     let dataset = Dataset::open(dataset.as_ref())?;
-    let maps = load_split(&dataset, Split::Train, &rl)?;
+    let pool = MapPool::fixed(load_split(&dataset, Split::Train, &rl)?)?;
+    let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
     let mut environment = Environment::new(&maps, BATCH, rl.max_steps, 3)?;
     let mut random = Random::keyed(&[4]);
+    let mut recent = vec![Recent::default(); BATCH];
     let mut transitions = Vec::new();
-    for _ in 0..4 {
+    for _ in 0..STEPS {
         let before: Vec<_> = (0..BATCH)
-            .map(|slot| (environment.map(slot) as u32, environment.state(slot).1.to_vec()))
+            .map(|slot| {
+                let number = pool.maps()[environment.map(slot)].0;
+                (number, environment.state(slot).1.to_vec())
+            })
             .collect();
         let actions: Vec<usize> = (0..BATCH).map(|_| random.below(961)).collect();
         let outcomes = environment.step(&actions);
-        transitions.clear();
-        for (((map, visited), &action), outcome) in before.into_iter().zip(&actions).zip(outcomes) {
-            let (reward, next, terminal) = (outcome.reward, outcome.next, outcome.terminal);
-            transitions.push(Transition { map, visited, action, reward, next, terminal });
+        for (slot, ((map, mut path), outcome)) in before.into_iter().zip(outcomes).enumerate() {
+            path.push(outcome.next);
+            let ends = [outcome.terminal || outcome.truncated, outcome.terminal];
+            let (step, most) = ((actions[slot], outcome.reward), train.return_steps as usize);
+            recent[slot].step((map, &path), step, ends, most, |one| transitions.push(one));
         }
     }
-    let batcher = Batcher::new(environment.maps(), &rl, Device::Cpu);
+    let transitions = random.sample(&transitions.iter().collect::<Vec<_>>(), BATCH);
+    let transitions: Vec<_> = transitions.into_iter().cloned().collect();
+    let batcher = Batcher::new(pool.maps().to_vec(), &rl, &train, Device::Cpu);
     let batch = batcher.batch(&transitions, train.augment.then_some(&mut random));
+    let weights: Vec<f32> = (0..BATCH).map(|_| random.unit() as f32).collect();
+    let weights = (train.priority_exponent > 0.0).then(|| Tensor::from_slice(&weights));
     let network = |seed| {
         let train = TrainConfig { seed, ..train.clone() };
         QNetwork::new(dataset.manifest().cells as usize, rl.reach_cells, &train, Device::Cpu)
     };
-    let (policy, target) = (network(1)?, network(2)?);
-    let parts = loss(&policy, &target, &batch, &train);
-    parts.total.backward();
+    let (mut policy, target) = (network(1)?, network(2)?);
+    if let Some(loaded) = loaded {
+        policy.approach(&loaded, 1.0);
+    }
+    let parts = loss(&policy, &target, &batch, weights.as_ref(), &train);
+    let gradients = Tensor::run_backward(&[&parts.total], policy.leaves(), false, false);
 
+    let none = Tensor::zeros([0], (Kind::Float, Device::Cpu));
     let inputs = [
         ("map", &batch.map),
         ("window", &batch.window),
         ("action", &batch.action),
         ("reward", &batch.reward),
-        ("terminal", &batch.terminal),
+        ("discount", &batch.discount),
         ("next_map", &batch.next_map),
         ("next_window", &batch.next_window),
         ("next_permissible", &batch.next_permissible),
-        ("all_rewards", &batch.all_rewards),
-        ("all_terminal", &batch.all_terminal),
+        ("all_rewards", batch.all_rewards.as_ref().unwrap_or(&none)),
+        ("all_terminal", batch.all_terminal.as_ref().unwrap_or(&none)),
+        ("weights", weights.as_ref().unwrap_or(&none)),
     ];
     Tensor::write_safetensors(&inputs, out.join("inputs.safetensors"))?;
     for (name, network) in [("policy", &policy), ("target", &target)] {
-        let weights: Vec<(&str, Tensor)> =
-            network.named().map(|(name, one)| (name, one.detach())).collect();
+        let weights: Vec<(&str, Tensor)> = network.named().collect();
         Tensor::write_safetensors(&weights, out.join(format!("{name}.safetensors")))?;
     }
     let mut outputs: Vec<(String, Tensor)> =
-        policy.named().map(|(name, one)| (name.to_owned(), one.grad())).collect();
-    outputs.push((
-        "q_values".into(),
-        policy.forward(&batch.map, &batch.window).0.detach().contiguous(),
-    ));
+        policy.named().zip(gradients).map(|((name, _), one)| (name.to_owned(), one)).collect();
+    let q_values = policy.forward(&policy.inputs(&batch.map, &batch.window)).0;
+    outputs.push(("q_values".into(), q_values.detach().contiguous()));
     outputs.push(("loss".into(), parts.total.detach()));
     outputs.push(("q_loss".into(), parts.q.detach()));
     Tensor::write_safetensors(&outputs, out.join("outputs.safetensors"))?;

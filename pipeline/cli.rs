@@ -12,6 +12,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 #[cfg(feature = "torch")]
 use holescout::config::TrainConfig;
 use holescout::config::{Config, Method};
+#[cfg(feature = "torch")]
+use holescout::rl::agent::DeviceChoice;
 use holescout::units::Dbm;
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed while running, 2 wrong usage, \
@@ -60,6 +62,9 @@ pub(crate) enum Command {
     /// Train a Q-network on a dataset by Double DQN; goes on from the last checkpoint
     #[cfg(feature = "torch")]
     Train(TrainArgs),
+    /// Write a policy to be given away: weights, a manifest, a card that tells how to use it
+    #[cfg(feature = "torch")]
+    ExportPolicy(ExportPolicyArgs),
     /// Write the JSON Schemas of all file formats, or check them
     Schemas(SchemasArgs),
     /// Print the configuration, merged from defaults, file and flags
@@ -88,6 +93,8 @@ impl Command {
                 args.dataset.apply(config);
                 args.judging.apply(config);
             }
+            #[cfg(feature = "torch")]
+            Self::ExportPolicy(_) => {}
             Self::Verify(_) | Self::Inspect(_) | Self::Schemas(_) => {}
         }
     }
@@ -192,6 +199,10 @@ pub(crate) struct EvaluateArgs {
     /// A checkpoint to evaluate as the method `agent`, for instance RUN/best (feature torch)
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub(crate) policy: Option<PathBuf>,
+    /// Where the policy is computed: auto takes a graphics card if there is one
+    #[cfg(feature = "torch")]
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    pub(crate) device: DeviceName,
     #[command(flatten)]
     pub(crate) output: OutputArgs,
     #[command(flatten)]
@@ -207,8 +218,41 @@ pub(crate) struct TrainArgs {
     /// Directory of the run: checkpoints, the best policy, a log
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub(crate) run: PathBuf,
+    /// Where to compute: auto takes a graphics card if there is one
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
+    pub(crate) device: DeviceName,
     #[command(flatten)]
     pub(crate) training: TrainFlags,
+}
+
+#[cfg(feature = "torch")]
+#[derive(Debug, Args)]
+pub(crate) struct ExportPolicyArgs {
+    /// The checkpoint, for instance RUN/best
+    #[arg(value_name = "CHECKPOINT", value_hint = ValueHint::DirPath)]
+    pub(crate) checkpoint: PathBuf,
+    #[command(flatten)]
+    pub(crate) output: OutputArgs,
+}
+
+/// A device by name.
+#[cfg(feature = "torch")]
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum DeviceName {
+    Auto,
+    Cpu,
+    Cuda,
+}
+
+#[cfg(feature = "torch")]
+impl DeviceName {
+    pub(crate) fn choice(self) -> DeviceChoice {
+        match self {
+            Self::Auto => DeviceChoice::Auto,
+            Self::Cpu => DeviceChoice::Cpu,
+            Self::Cuda => DeviceChoice::Cuda,
+        }
+    }
 }
 
 /// A split of a dataset, or all of them.

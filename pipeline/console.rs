@@ -25,12 +25,27 @@ struct Phase {
     name: String,
     total: Option<u64>,
     done: u64,
+    /// What is said beside the progress.
+    state: String,
     bar: Option<ProgressBar>,
 }
 
 impl Console {
     pub(crate) fn new(quiet: bool) -> Self {
         Self { quiet, terminal: std::io::stderr().is_terminal(), phase: Mutex::new(None) }
+    }
+
+    /// Shows how the phase stands, beside its bar; a log has a line for that where it has one for
+    /// the progress.
+    #[cfg(feature = "torch")]
+    pub(crate) fn state(&self, text: &str) {
+        self.with_phase(|phase| {
+            let Some(phase) = phase else { return };
+            match &phase.bar {
+                Some(bar) => bar.set_message(text.to_owned()),
+                None => phase.state = format!(": {text}"),
+            }
+        });
     }
 
     fn with_phase(&self, act: impl FnOnce(&mut Option<Phase>)) {
@@ -60,7 +75,8 @@ impl Progress for Console {
             });
         }
         self.with_phase(|current| {
-            *current = Some(Phase { name: phase.to_owned(), total, done: 0, bar });
+            *current =
+                Some(Phase { name: phase.to_owned(), total, done: 0, state: String::new(), bar });
         });
     }
 
@@ -73,7 +89,8 @@ impl Progress for Console {
                 (None, Some(total)) if total > 100 => {
                     let part = |done: u64| done * PLAIN_STEPS / total;
                     if part(phase.done) > part(phase.done - steps) {
-                        line(&format!("{}: {} of {total}", phase.name, phase.done));
+                        let Phase { name, done, state, .. } = phase;
+                        line(&format!("{name}: {done} of {total}{state}"));
                     }
                 }
                 (None, _) => {}

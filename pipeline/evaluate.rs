@@ -57,8 +57,9 @@ type Loaded = (Box<dyn MakePolicy>, String);
 #[cfg(feature = "torch")]
 fn load(policy: &Path, args: &EvaluateArgs, config: &Config) -> Result<Loaded, Failure> {
     use holescout::{dataset::Dataset, rl::agent::Agent, store::sha256_file};
+    let device = args.device.choice().device()?;
     let cells = Dataset::open(&args.dataset)?.manifest().cells as usize;
-    let agent = Agent::load(policy, cells, &config.rl)?;
+    let agent = Agent::load(policy, cells, &config.rl, device)?;
     let weights = policy.join("weights.safetensors");
     Ok((Box::new(agent), sha256_file(&weights)?.sha256))
 }

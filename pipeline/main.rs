@@ -4,6 +4,8 @@ mod cli;
 mod config;
 mod console;
 mod evaluate;
+#[cfg(feature = "torch")]
+mod export_policy;
 mod failure;
 mod import_rsrp;
 mod inspect;
@@ -49,6 +51,8 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
         Command::Evaluate(args) => evaluate::run(args, &config, console),
         #[cfg(feature = "torch")]
         Command::Train(args) => train::run(args, &config, console),
+        #[cfg(feature = "torch")]
+        Command::ExportPolicy(args) => export_policy::run(args),
         Command::Verify(args) => verify::run(args, console),
         Command::Inspect(args) => inspect::run(args),
         Command::Schemas(args) => schemas::run(args),

@@ -7,7 +7,8 @@ use holescout::dataset::Record;
 use holescout::error::FileError;
 use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
-    DatasetManifest, EvaluationManifest, RsrpManifest, RsrpMeta, TileMeta, TilesManifest, to_json,
+    DatasetManifest, EvaluationManifest, PolicyManifest, RsrpManifest, RsrpMeta, TileMeta,
+    TilesManifest, to_json,
 };
 use holescout::radio_map::RadioMapMetadata;
 use holescout::store::write_atomic;
@@ -71,6 +72,7 @@ fn all() -> Vec<(String, Vec<u8>)> {
         schema::<DatasetManifest>(DatasetManifest::SCHEMA),
         schema::<EvaluationManifest>(EvaluationManifest::SCHEMA),
         schema::<EvaluationReport>(EvaluationReport::SCHEMA),
+        schema::<PolicyManifest>(PolicyManifest::SCHEMA),
     ]
 }
 

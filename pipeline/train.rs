@@ -7,8 +7,10 @@ use holescout::config::{Config, Split};
 use holescout::dataset::Dataset;
 use holescout::evaluate::precision;
 use holescout::progress::Progress;
-use holescout::rl::agent::{Agent, QNetwork, TrainJob, TrainProgress, Trainer, Watch, train};
-use holescout::rl::{World, load_split};
+use holescout::rl::agent::{
+    Agent, MemoryNeed, Pace, QNetwork, TrainJob, TrainReport, Trainer, Watch, train,
+};
+use holescout::rl::{MapPool, World, load_sample};
 use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -20,31 +22,26 @@ use crate::failure::Failure;
 const JUDGED_STEPS: [u32; 3] = [1, 2, 4];
 
 pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Result<Report, Failure> {
-    let dataset = Dataset::open(&args.dataset)?;
-    let maps = |split| -> Result<Vec<Arc<World>>, Failure> {
-        let maps = load_split(&dataset, split, &config.rl)?;
-        if maps.is_empty() {
-            let dataset = args.dataset.display();
-            return Err(Failure::input(format!("{dataset}: its {split} split has no records")));
-        }
-        Ok(maps)
-    };
-    let (train_maps, val_maps) = (maps(Split::Train)?, maps(Split::Val)?);
-    let job = TrainJob {
-        maps: &train_maps,
-        dataset_sha256: &dataset.digest().sha256,
-        rl: &config.rl,
-        train: &config.train,
-    };
+    let Config { rl, train: how, .. } = config;
+    let device = args.device.choice().device()?;
+    let dataset = Arc::new(Dataset::open(&args.dataset)?);
+    let need = MemoryNeed::new(&dataset, config, device)?;
+    need.demand()?;
+    let val_maps = load_sample(&dataset, Split::Val, rl, how.evaluate_maps as usize, how.seed)?;
+    let memory = how.map_memory_mb as usize * 1_000_000;
+    let pool = MapPool::of_split(&dataset, Split::Train, rl, memory, how.seed)?;
+    let digest = dataset.digest();
+    let job = TrainJob { dataset_sha256: &digest.sha256, rl, train: how, device };
     let stopped = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stopped)).map_err(Failure::running)?;
     }
     let mut judging = config.clone();
     judging.evaluate.steps = JUDGED_STEPS.to_vec();
-    judging.evaluate.starts = config.train.evaluate_starts;
-    let mut watch = Watching { console, config, judging, maps: &val_maps, stopped: &stopped };
-    let ended = train(job, &args.run, &mut watch)?;
+    judging.evaluate.starts = how.evaluate_starts;
+    let (maps, stopped) = (&val_maps[..], &*stopped);
+    let mut watch = Watching { console, config, judging, maps, stopped, need: &need };
+    let ended = train(job, pool, &args.run, &mut watch)?;
     console.end();
     let state = if ended.complete { "done" } else { "saved, run again to go on" };
     let best = ended.best.map_or_else(String::new, |(score, update)| {
@@ -66,28 +63,44 @@ struct Watching<'a> {
     judging: Config,
     maps: &'a [Arc<World>],
     stopped: &'a AtomicBool,
+    need: &'a MemoryNeed,
 }
 
 impl Watch for Watching<'_> {
     fn begins(&mut self, trainer: &Trainer<'_>) {
-        let (parameters, megabytes) =
-            (trainer.policy().size(), trainer.replay_bytes() as f64 / 1e6);
+        let (policy, train) = (trainer.policy(), &self.config.train);
+        let maps = trainer.pool().maps().len();
+        let changing = if trainer.pool().is_streamed() { ", others come and go" } else { "" };
         self.console.note(&format!(
-            "{parameters} parameters; replay of {} transitions in {megabytes:.0} MB; from update {}",
-            self.config.train.replay,
+            "{} parameters, {:?} on {:?}; {maps} maps in memory{changing}; replay of {} transitions \
+             in {:.0} MB; {:.0} MB in all; from update {}",
+            policy.size(),
+            policy.computing().kind,
+            policy.device(),
+            train.replay,
+            self.need.replay_bytes as f64 / 1e6,
+            self.need.bytes() as f64 / 1e6,
             trainer.updates(),
         ));
-        let left = self.config.train.updates.saturating_sub(trainer.updates());
+        let left = train.updates.saturating_sub(trainer.updates());
         self.console.begin("training", Some(left));
     }
 
-    fn updated(&mut self, _: &TrainProgress) {
+    fn updated(&mut self) {
         self.console.advance(1);
     }
 
+    fn reported(&mut self, report: &TrainReport, pace: Pace) {
+        let found = report.mean_return.map_or("-".into(), |of| format!("{of:.2}"));
+        self.console.state(&format!(
+            "return {found}, loss {:.4}, ε {:.2}, {:.0} samples/s",
+            report.loss, report.epsilon, pace.samples_per_s
+        ));
+    }
+
     fn judge(&mut self, network: &QNetwork) -> Vec<(u32, f64)> {
-        let agent =
-            Agent::new(network.duplicate(), &self.config.rl, self.config.train.mask_actions);
+        let Config { rl, train, .. } = self.config;
+        let agent = Agent::new(network.duplicate(), self.maps[0].cells(), rl, train.mask_actions);
         let scores = precision(&agent, self.maps, &self.judging);
         let percent = scores.iter().map(|(k, score)| format!("{:.1} (k = {k})", 100.0 * score));
         let percent: Vec<String> = percent.collect();

@@ -11,10 +11,12 @@ use std::time::Duration;
 use holescout::config::{Config, EvaluateConfig, Precision, TrainConfig};
 use holescout::dataset::{Dataset, Grids};
 use holescout::evaluate::precision;
-use holescout::rl::World;
 use holescout::rl::agent::{Agent, TrainJob, Trainer};
 use holescout::rl::policy::{MakePolicy, Policy, RandomWalk};
+use holescout::rl::{MapPool, World};
 use ndarray::Array2;
+use serde_json::Value;
+use tch::Device;
 
 use pipeline::{
     HELSINKI, Random, assert_says, holescout, read, read_json, run, sha256, temporary_dir, write,
@@ -49,43 +51,127 @@ fn weights(run: &Path) -> String {
     sha256(&read(&run.join("checkpoints/000000024/weights.safetensors")))
 }
 
+/// What neither preset uses, over maps that come and go.
+const ALL: &str = "
+return_steps = 3
+target_share = 0.05
+priority_exponent = 0.6
+dueling = true
+map_memory_mb = 1
+refresh_every = 2
+";
+
+/// The log without what is never the same twice.
+fn log(run: &Path) -> Vec<Value> {
+    let text = String::from_utf8(read(&run.join("log.jsonl"))).expect("text");
+    let lines = text.lines().map(|line| serde_json::from_str(line).expect("JSON"));
+    let timeless = |mut line: Value| {
+        let pace = ["samples_per_s", "waiting"].map(|key| line.as_object_mut()?.remove(key));
+        assert_eq!(pace[0].is_some(), line["loss"].is_number(), "{line}");
+        line
+    };
+    lines.map(timeless).collect()
+}
+
 #[test]
 fn killed_runs_end_in_the_same_weights_and_log() {
-    let dir = temporary_dir();
-    let config = dir.path().join("small.toml");
-    write(&config, SMALL);
-    let (whole, killed) = (dir.path().join("whole"), dir.path().join("killed"));
-    run(&mut train(&whole, &config, &[])).succeeds();
-    let again = dir.path().join("again");
-    run(&mut train(&again, &config, &[])).succeeds();
-    assert_eq!(weights(&again), weights(&whole), "the same seed twice");
+    for (seed, options) in [(7, ""), (8, ALL)] {
+        let dir = temporary_dir();
+        let config = dir.path().join("small.toml");
+        write(&config, [SMALL, options].concat());
+        let (whole, killed) = (dir.path().join("whole"), dir.path().join("killed"));
+        let ended = run(&mut train(&whole, &config, &[]));
+        assert_eq!(ended.stderr.contains("others come and go"), !options.is_empty(), "{ended:?}");
+        let again = dir.path().join("again");
+        run(&mut train(&again, &config, &[])).succeeds();
+        assert_eq!(weights(&again), weights(&whole), "the same seed twice");
+        kill_until_done(&mut Random(seed), || train(&killed, &config, &[]));
+        run(&mut train(&killed, &config, &[])).succeeds();
+        assert_eq!(weights(&killed), weights(&whole));
+        assert_eq!(log(&killed), log(&whole));
+        for directory in [&killed, &killed.join("checkpoints")] {
+            let names = std::fs::read_dir(directory).expect("listed").flatten();
+            let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
+            let mut left = names.filter(|name| name.starts_with(".holescout-checkpoint"));
+            assert_eq!(left.next(), None, "nothing half-written is left");
+        }
+        // A finished run has nothing left to do.
+        let done = run(&mut train(&killed, &config, &[])).succeeds();
+        assert_says(&done, &["24 updates, done"]);
+    }
+}
 
-    let mut random = Random(7);
-    let mut kills = 0;
-    loop {
-        let mut child =
-            train(&killed, &config, &[]).stderr(Stdio::null()).stdout(Stdio::null()).spawn();
+/// Kills a run at random moments until one ends by itself, at most 20 times.
+fn kill_until_done(random: &mut Random, command: impl Fn() -> Command) {
+    for kills in 0..20 {
+        let mut child = command().stderr(Stdio::null()).stdout(Stdio::null()).spawn();
         let child = child.as_mut().expect("started");
         std::thread::sleep(Duration::from_millis(200 + random.below(1200) as u64));
         child.kill().expect("killed");
-        let ended = child.wait().expect("gone");
-        kills += 1;
-        if ended.success() || kills == 20 {
-            break;
+        if child.wait().expect("gone").success() {
+            assert!(kills > 0, "it was never killed");
+            return;
         }
     }
-    assert!(kills > 1, "it was never killed");
-    run(&mut train(&killed, &config, &[])).succeeds();
-    assert_eq!(weights(&killed), weights(&whole));
-    assert_eq!(read(&killed.join("log.jsonl")), read(&whole.join("log.jsonl")));
-    for directory in [&killed, &killed.join("checkpoints")] {
-        let names = std::fs::read_dir(directory).expect("listed").flatten();
-        let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
-        let mut left = names.filter(|name| name.starts_with(".holescout-checkpoint"));
-        assert_eq!(left.next(), None, "nothing half-written is left");
+}
+
+#[test]
+fn training_stops_early_when_scores_no_longer_rise() {
+    let dir = temporary_dir();
+    let config = dir.path().join("small.toml");
+    write(&config, [SMALL, "patience = 1\n"].concat());
+    let out = dir.path().join("run");
+    let train = || train(&out, &config, &["--evaluate-every", "1", "--json"]);
+    let ended = run(&mut train()).succeeds();
+    let summary: Value = serde_json::from_str(&ended).expect("JSON");
+    let updates = summary["updates"].as_u64().expect("a number");
+    assert!(updates < 24 && summary["complete"] == true, "{summary}");
+    let best = summary["best"][1].as_u64().expect("an update");
+    assert_eq!(updates, best + 1);
+    let again = run(&mut train()).succeeds();
+    assert_eq!(serde_json::from_str::<Value>(&again).expect("JSON"), summary);
+}
+
+#[test]
+fn an_exported_policy_is_what_was_trained() {
+    let dir = temporary_dir();
+    let config = dir.path().join("small.toml");
+    write(&config, SMALL);
+    let (run_dir, out) = (dir.path().join("run"), dir.path().join("policy"));
+    run(&mut train(&run_dir, &config, &["--updates", "12"])).succeeds();
+    let best = run_dir.join("best");
+    let export = |out: &Path| {
+        let mut command = holescout("export-policy");
+        command.arg(&best).arg("--out").arg(out);
+        run(&mut command).succeeds()
+    };
+    export(&out);
+    assert_eq!(read(&out.join("weights.safetensors")), read(&best.join("weights.safetensors")));
+    let manifest = read_json(&out.join("manifest.json"));
+    assert_eq!(manifest["updates"], 12);
+    assert_eq!(manifest["train"]["widths"], Value::from(vec![4; 7]));
+    let card = String::from_utf8(read(&out.join("README.md"))).expect("text");
+    assert!(!card.contains("{{"), "{card}");
+    let again = dir.path().join("again");
+    export(&again);
+    for file in ["README.md", "SHA256SUMS", "manifest.json"] {
+        assert_eq!(read(&out.join(file)), read(&again.join(file)), "{file}");
     }
-    // A finished run has nothing left to do.
-    assert_says(&run(&mut train(&killed, &config, &[])).succeeds(), &["24 updates, done"]);
+    let evaluation = |policy: &Path| {
+        let to = dir.path().join(policy.file_name().expect("a name")).with_extension("report");
+        let mut command = holescout("evaluate");
+        command.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(policy);
+        command.arg("--out").arg(&to).args(["--split", "val", "--starts", "3"]);
+        run(command.args(["--methods", "rsp", "--device", "cpu"])).succeeds();
+        read(&to.join("report.json"))
+    };
+    assert_eq!(evaluation(&out), evaluation(&best));
+    // Other weights under the same manifest are found out.
+    write(&again.join("weights.safetensors"), b"other");
+    let mut command = holescout("evaluate");
+    command.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(&again);
+    command.arg("--out").arg(dir.path().join("none")).args(["--split", "val"]);
+    assert_says(&run(&mut command).refused(), &["weights.safetensors", "manifest"]);
 }
 
 #[test]
@@ -141,10 +227,23 @@ fn what_cannot_be_trained_on_is_refused() {
     };
     assert_says(&refused("[rl]\nreach_cells = 14"), &["31 × 31", "29 × 29", "rl.reach_cells"]);
     assert_says(&refused("[train]\nwarmup = 1"), &["train.warmup", "train.batch"]);
+    assert_says(&refused("[train]\nreturn_steps = 9"), &["train.return_steps", "1 to 8"]);
     assert_says(
         &refused("[rl]\nhole_threshold_dbm = -300.0\nfloor_dbm = -400.0"),
         &["nothing to learn"],
     );
+}
+
+#[test]
+fn too_little_memory_is_told_before_anything_begins() {
+    let dir = temporary_dir();
+    let config = dir.path().join("config.toml");
+    write(&config, "[train]\nbatch = 65536\nwarmup = 65536\nreplay = 100000000");
+    let out = dir.path().join("run");
+    let failed = run(&mut train(&out, &config, &[]));
+    assert_eq!(failed.code, Some(1), "{failed:?}");
+    assert_says(&failed.stderr, &["MB are free", "train.replay", "train.batch"]);
+    assert!(!out.exists());
 }
 
 /// The random walk, made for any map.
@@ -183,14 +282,17 @@ fn it_learns_a_map_with_a_known_answer() {
     let evaluate = EvaluateConfig { starts: 100, steps: vec![8], ..EvaluateConfig::default() };
     let config = Config { train, evaluate, ..Config::default() };
     let maps = [Arc::new(World::new(&record, &grids, &config.rl))];
-    let job = TrainJob { maps: &maps, dataset_sha256: "", rl: &config.rl, train: &config.train };
-    let mut trainer = Trainer::new(job).expect("there is something to learn");
-    let losses: Vec<f64> =
-        (0..config.train.updates).map(|_| trainer.update().expect("finite").loss).collect();
-    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
-    let (first, last) = (mean(&losses[..20]), mean(&losses[280..]));
+    let (rl, train, device) = (&config.rl, &config.train, Device::Cpu);
+    let job = TrainJob { dataset_sha256: "", rl, train, device };
+    let pool = MapPool::fixed(maps.to_vec()).expect("a map to learn");
+    let mut trainer = Trainer::new(job, pool).expect("there is something to learn");
+    let mut loss_of = |updates: u64| {
+        (0..updates).for_each(|_| trainer.update().expect("maps are in memory"));
+        trainer.report().expect("finite").loss
+    };
+    let (first, _, last) = (loss_of(20), loss_of(260), loss_of(20));
     assert!(last < 0.5 * first, "the loss went from {first} to {last}");
-    let agent = Agent::new(trainer.policy().duplicate(), &config.rl, true);
+    let agent = Agent::new(trainer.policy().duplicate(), 121, rl, true);
     let found = |policy: &dyn MakePolicy| precision(policy, &maps, &config)[0].1;
     let (learned, walked) = (found(&agent), found(&Walking));
     assert!(learned > walked + 0.2, "the agent {learned}, a random walk {walked}");

@@ -30,6 +30,7 @@ pub enum Loss {
 /// `[train]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
+#[allow(clippy::struct_excessive_bools, reason = "each is a choice of its own")]
 pub struct TrainConfig {
     /// Seed of weights, episodes, exploration and sampling.
     pub seed: u64,
@@ -49,8 +50,14 @@ pub struct TrainConfig {
     pub learning_rate: f64,
     /// Discount of later rewards (the paper's γ).
     pub discount: f64,
+    /// Steps whose rewards a transition adds up before it relies on a Q-value (n-step returns);
+    /// 1 as in the paper.
+    pub return_steps: u32,
     /// Updates after which the target network takes over the weights.
     pub target_sync: u32,
+    /// Share of the weights that the target network takes over after each update (Polyak) instead;
+    /// 0 for all of them every `target_sync` updates.
+    pub target_share: f64,
     /// Share of random actions at first.
     pub epsilon_start: f64,
     /// Share of random actions in the end.
@@ -61,6 +68,11 @@ pub struct TrainConfig {
     pub loss: Loss,
     /// Gradients longer than this are shortened to it; 0 for never.
     pub clip_norm: f64,
+    /// Transitions are sampled in proportion to their error to this power (prioritised replay);
+    /// 0 for all alike.
+    pub priority_exponent: f64,
+    /// How far weights make good for that at first (the β of Schaul et al., 2016); it rises to 1.
+    pub priority_correction: f64,
     /// Weight of the squared reward in the loss (the paper's α). It has no gradient, and is kept
     /// so that losses compare with the paper's.
     pub squared_reward: f64,
@@ -72,17 +84,28 @@ pub struct TrainConfig {
     pub mask_actions: bool,
     /// Flip and rotate each sample at random, map and action together.
     pub augment: bool,
+    /// Q-values are the sum of a state's value and its actions' advantages (dueling network).
+    pub dueling: bool,
     /// Channels of the seven hidden layers: three convolutions and a transposed one over the map,
     /// two convolutions over the surroundings, a transposed one over both.
     pub widths: [u32; 7],
     /// Numbers that the network computes with.
     pub precision: Precision,
+    /// Memory for maps, in MB. If the split does not fit, a part of it is held, and replaced map by
+    /// map as training goes on.
+    pub map_memory_mb: u32,
+    /// Steps of all episodes after which one map is replaced then.
+    pub refresh_every: u32,
     /// Updates after which a checkpoint is written.
     pub checkpoint_every: u64,
     /// Updates after which the policy is judged on the validation split.
     pub evaluate_every: u64,
-    /// Starts on each map when it is.
+    /// Maps of the validation split on which it is, chosen at random.
+    pub evaluate_maps: u32,
+    /// Starts on each of them.
     pub evaluate_starts: u32,
+    /// Judgements without a better score after which training stops early; 0 for never.
+    pub patience: u32,
 }
 
 impl Default for TrainConfig {
@@ -97,22 +120,31 @@ impl Default for TrainConfig {
             warmup: 4096,
             learning_rate: 5e-4,
             discount: 0.99,
+            return_steps: 1,
             target_sync: 250,
+            target_share: 0.0,
             epsilon_start: 1.0,
             epsilon_end: 0.05,
             epsilon_decay: 0.3,
             loss: Loss::Huber,
             clip_norm: 10.0,
+            priority_exponent: 0.0,
+            priority_correction: 0.4,
             squared_reward: 0.0,
             reward_prediction: 1.0,
             dense_terminal: true,
             mask_actions: true,
             augment: true,
+            dueling: false,
             widths: [32, 64, 128, 64, 32, 64, 32],
             precision: Precision::Auto,
+            map_memory_mb: 2048,
+            refresh_every: 8,
             checkpoint_every: 1000,
             evaluate_every: 1000,
+            evaluate_maps: 100,
             evaluate_starts: 50,
+            patience: 0,
         }
     }
 }
@@ -141,7 +173,11 @@ impl TrainConfig {
             ("train.updates_per_step", self.updates_per_step, 1000),
             ("train.replay", self.replay, 100_000_000),
             ("train.warmup", self.warmup, self.replay),
+            ("train.return_steps", self.return_steps, 8),
             ("train.target_sync", self.target_sync, 10_000_000),
+            ("train.map_memory_mb", self.map_memory_mb, 1_000_000),
+            ("train.refresh_every", self.refresh_every, 10_000_000),
+            ("train.evaluate_maps", self.evaluate_maps, 1_000_000),
             ("train.evaluate_starts", self.evaluate_starts, 100_000),
         ];
         for (key, value, most) in counts {
@@ -157,6 +193,9 @@ impl TrainConfig {
         }
         let shares = [
             ("train.discount", self.discount),
+            ("train.target_share", self.target_share),
+            ("train.priority_exponent", self.priority_exponent),
+            ("train.priority_correction", self.priority_correction),
             ("train.epsilon_start", self.epsilon_start),
             ("train.epsilon_end", self.epsilon_end),
             ("train.epsilon_decay", self.epsilon_decay),

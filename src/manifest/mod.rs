@@ -7,6 +7,7 @@ mod common;
 mod dataset;
 mod evaluation;
 mod files;
+mod policy;
 mod rsrp;
 mod tiles;
 
@@ -16,6 +17,7 @@ pub use dataset::{
 };
 pub use evaluation::EvaluationManifest;
 pub use files::{RsrpFile, StageFileError, TileFile, dropped_tiles};
+pub use policy::PolicyManifest;
 pub use rsrp::{
     BaseStation, MapEntry, MaskCounts, Radio, RadioCount, RsrpManifest, RsrpMeta, SourceMap,
     ValueKind,

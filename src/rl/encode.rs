@@ -76,6 +76,25 @@ impl Encoder {
         }
     }
 
+    /// Cells along a side of the maps (L).
+    #[must_use]
+    pub fn cells(&self) -> usize {
+        self.cells
+    }
+
+    /// The moves that `I_B` spans.
+    #[must_use]
+    pub fn actions(&self) -> Actions {
+        self.actions
+    }
+
+    /// The table of 2^(-c d), `[2 L - 1, 2 L - 1]`: every distance along rows and columns, 0 in the
+    /// middle.
+    #[must_use]
+    pub fn decay(&self) -> &[f32] {
+        &self.decay
+    }
+
     /// Numbers in `I_A`: 3 L².
     #[must_use]
     pub fn map_len(&self) -> usize {

@@ -49,8 +49,8 @@ pub struct Environment {
     max_steps: usize,
     sight: Sight,
     maps: Vec<Arc<World>>,
-    /// Free cells that are no holes, for each map: where episodes begin.
-    starts: Vec<Vec<Cell>>,
+    /// Where episodes begin, for each map.
+    starts: Vec<Vec<u32>>,
     slots: Vec<Slot>,
 }
 
@@ -68,6 +68,11 @@ impl crate::error::HasFault for NothingToLearn {
     }
 }
 
+/// Free cells that are no holes, as positions in row-major order.
+fn covered(map: &World) -> Vec<u32> {
+    map.covered().map(|cell| map.index(cell) as u32).collect()
+}
+
 impl Environment {
     /// `slots` episodes at a time. Maps without a hole or without a covered free cell are left out.
     ///
@@ -79,16 +84,11 @@ impl Environment {
         max_steps: u32,
         seed: u64,
     ) -> Result<Self, NothingToLearn> {
-        let covered = |map: &World| -> Vec<Cell> {
-            map.free_cells().into_iter().filter(|&cell| !map.is_hole(cell)).collect()
-        };
-        let usable = maps.iter().filter(|map| !map.holes().is_empty());
-        let usable = usable.map(|map| (Arc::clone(map), covered(map)));
-        let (maps_left, starts): (Vec<_>, Vec<_>) =
-            usable.filter(|(_, starts)| !starts.is_empty()).unzip();
-        let Some(first) = maps_left.first() else {
+        let usable: Vec<_> = maps.iter().filter(|map| map.can_teach()).cloned().collect();
+        let Some(first) = usable.first() else {
             return Err(NothingToLearn { maps: maps.len() });
         };
+        let starts = usable.iter().map(|map| covered(map)).collect();
         let sight = Sight::new(first.reach() as u32);
         let slots = (0..slots as u64).map(|number| Slot {
             number,
@@ -99,7 +99,7 @@ impl Environment {
         });
         let slots = slots.collect();
         let max_steps = max_steps as usize;
-        let mut environment = Self { seed, max_steps, sight, maps: maps_left, starts, slots };
+        let mut environment = Self { seed, max_steps, sight, maps: usable, starts, slots };
         let Self { slots, sight, maps, starts, .. } = &mut environment;
         for slot in slots {
             slot.begin(seed, sight, maps, starts);
@@ -156,6 +156,21 @@ impl Environment {
         &self.maps
     }
 
+    /// Puts another map, one that [can teach](World::can_teach), in the place of one. Episodes on
+    /// the old one are over: `cut` receives their slots and visited cells.
+    ///
+    /// # Panics
+    /// If there is no map of this number, or the new one has no covered cell.
+    pub fn replace(&mut self, map: usize, by: &Arc<World>, mut cut: impl FnMut(usize, &[Cell])) {
+        self.maps[map] = Arc::clone(by);
+        self.starts[map] = covered(by);
+        let Self { seed, sight, maps, starts, slots, .. } = self;
+        for (number, slot) in slots.iter_mut().enumerate().filter(|(_, slot)| slot.map == map) {
+            cut(number, &slot.visited);
+            slot.begin(*seed, sight, maps, starts);
+        }
+    }
+
     /// What a checkpoint must keep.
     #[must_use]
     pub fn save(&self) -> Vec<EpisodeState> {
@@ -205,12 +220,12 @@ impl Environment {
 }
 
 impl Slot {
-    fn begin(&mut self, seed: u64, sight: &Sight, maps: &[Arc<World>], starts: &[Vec<Cell>]) {
+    fn begin(&mut self, seed: u64, sight: &Sight, maps: &[Arc<World>], starts: &[Vec<u32>]) {
         let mut random = Random::keyed(&[seed, self.number, self.episodes]);
         self.episodes += 1;
         self.map = random.below(maps.len());
         let from = &starts[self.map];
-        let start = from[random.below(from.len())];
+        let start = maps[self.map].cell(from[random.below(from.len())] as usize);
         self.visited.clear();
         self.visited.push(start);
         sight.permissible_into(&maps[self.map], start, &mut self.permissible);
@@ -223,7 +238,7 @@ impl Slot {
         max_steps: usize,
         sight: &Sight,
         maps: &[Arc<World>],
-        starts: &[Vec<Cell>],
+        starts: &[Vec<u32>],
     ) -> Outcome {
         let world = &*maps[self.map];
         let from = *self.visited.last().expect("an episode has a start");
@@ -300,6 +315,20 @@ mod tests {
         assert!(restored.restore(&state));
         for at in 7..30 {
             assert_eq!(step(&mut saved, at), step(&mut restored, at));
+        }
+    }
+
+    #[test]
+    fn a_replaced_map_ends_the_episodes_on_it() {
+        let mut environment = environment(4);
+        environment.step(&[12; 4]);
+        let other = Arc::new(world("o..\n...\n..#", 2));
+        let mut ended = Vec::new();
+        environment.replace(0, &other, |slot, visited| ended.push((slot, visited.len())));
+        assert_eq!(ended, [(0, 2), (1, 2), (2, 2), (3, 2)]);
+        for slot in 0..4 {
+            let (map, visited) = environment.state(slot);
+            assert!(Arc::ptr_eq(map, &other) && visited.len() == 1 && other.is_free(visited[0]));
         }
     }
 

@@ -189,6 +189,22 @@ fn farthest(from: [f64; 2], to: [f64; 2], reach: i32, allowed: impl Fn(Cell) -> 
         .unwrap_or(from)
 }
 
+/// The rewards of all actions, `eqn:reward`, and whether each would end the episode: what training
+/// may know of a state for free.
+pub fn rewards_into(
+    sight: &Sight,
+    world: &World,
+    from: Cell,
+    permissible: &ActionSet,
+    mut store: impl FnMut(usize, f32, bool),
+) {
+    for action in 0..sight.actions().count() {
+        let is_permissible = permissible.contains(action);
+        let is_hole = is_permissible && world.is_hole(from + sight.actions().offset(action));
+        store(action, reward(is_permissible, is_hole), is_hole);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

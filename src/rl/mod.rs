@@ -19,8 +19,10 @@ mod flight;
 mod oracle;
 pub mod policy;
 mod pool;
+mod priorities;
 mod random;
 mod replay;
+mod returns;
 mod sight;
 mod symmetry;
 mod world;
@@ -29,12 +31,16 @@ pub use cell::{Actions, Cell};
 pub use distance::neighbourhood;
 pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
 pub use env::{Environment, EpisodeState, NothingToLearn, Outcome};
-pub use flight::{Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step};
+pub use flight::{
+    Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step, rewards_into,
+};
 pub use oracle::Hops;
-pub use pool::load_split;
+pub use pool::{MapPool, PoolError, PoolState, load_sample, load_split};
+pub use priorities::Priorities;
 pub use random::Random;
-pub use replay::{Replay, Transition};
-pub use sight::{ActionSet, Sight, rewards_into};
+pub use replay::{MAX_STEPS, Replay, Transition};
+pub use returns::Recent;
+pub use sight::{ActionSet, Sight};
 pub use symmetry::Symmetry;
 pub use world::World;
 #[cfg(test)]

@@ -1,14 +1,27 @@
-//! The maps of a split in memory.
+//! The maps of a split in memory: all of them, or as many as fit, replaced as training goes on.
 
+use std::num::NonZero;
 use std::sync::Arc;
+use std::time::Duration;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
+use super::env::NothingToLearn;
+use super::random::Random;
 use super::world::World;
 use crate::config::{RlConfig, Split};
-use crate::dataset::{Dataset, ReadError};
+use crate::dataset::{Dataset, Loader, LoaderError, LoaderOptions, ReadError};
+use crate::error::{Fault, HasFault};
+use crate::grid::TileId;
 
-/// All maps of a split, in the order of their names: about 250 kB each.
+/// Threads that decode maps while others train.
+const DECODERS: NonZero<usize> = NonZero::<usize>::MIN;
+/// Memory for maps that are decoded ahead, as a share of that for those in the pool.
+const AHEAD: usize = 16;
+const SAMPLE: u64 = 31;
+
+/// The maps of a split, in the order of their names.
 ///
 /// # Errors
 /// The first record that cannot be read.
@@ -17,11 +30,240 @@ pub fn load_split(
     split: Split,
     config: &RlConfig,
 ) -> Result<Vec<Arc<World>>, ReadError> {
-    let mut records = dataset.ids();
-    records.retain(|(_, of)| *of == split);
-    let load = |(id, _)| {
+    let ids = dataset.ids().into_iter().filter(|&(_, of)| of == split).map(|(id, _)| id);
+    load(dataset, &ids.collect::<Vec<_>>(), config)
+}
+
+/// At most `count` maps of a split, chosen by `seed`, in the order of their names.
+///
+/// # Errors
+/// If the split is empty, or a record cannot be read.
+pub fn load_sample(
+    dataset: &Dataset,
+    split: Split,
+    config: &RlConfig,
+    count: usize,
+    seed: u64,
+) -> Result<Vec<Arc<World>>, PoolError> {
+    let ids = dataset.ids().into_iter().filter(|&(_, of)| of == split).map(|(id, _)| id);
+    let mut ids = Random::keyed(&[seed, SAMPLE]).sample(&ids.collect::<Vec<_>>(), count);
+    if ids.is_empty() {
+        return Err(PoolError::Empty { split });
+    }
+    ids.sort_unstable();
+    Ok(load(dataset, &ids, config)?)
+}
+
+fn load(
+    dataset: &Dataset,
+    ids: &[TileId],
+    config: &RlConfig,
+) -> Result<Vec<Arc<World>>, ReadError> {
+    let load = |&id| {
         let (record, grids) = dataset.record_with_grids(id)?;
         Ok(Arc::new(World::new(&record, &grids, config)))
     };
-    records.into_par_iter().map(load).collect()
+    ids.par_iter().map(load).collect()
+}
+
+/// Why maps cannot be had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PoolError {
+    /// A record cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The split cannot be read.
+    #[error(transparent)]
+    Loader(#[from] LoaderError),
+    /// There is nothing in the split.
+    #[error("the {split} split has no records: build the dataset with one, see [split]")]
+    Empty {
+        /// The split.
+        split: Split,
+    },
+    /// No map teaches anything.
+    #[error(transparent)]
+    NothingToLearn(#[from] NothingToLearn),
+}
+
+impl HasFault for PoolError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Read(error) => error.fault(),
+            Self::Loader(error) => error.fault(),
+            Self::NothingToLearn(error) => error.fault(),
+            Self::Empty { .. } => Fault::Input,
+        }
+    }
+}
+
+/// What a checkpoint must keep of a pool.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PoolState {
+    /// Numbers of the maps in it.
+    numbers: Vec<u32>,
+    /// What the loader reads next.
+    cursor: u64,
+    /// Maps that were replaced so far.
+    replaced: u64,
+}
+
+/// Maps to train on, each with its number: its position among the records of the split. Maps that
+/// cannot teach anything are left out.
+#[derive(Debug)]
+pub struct MapPool {
+    maps: Vec<(u32, Arc<World>)>,
+    replaced: u64,
+    stream: Option<Stream>,
+}
+
+/// Where other maps come from.
+#[derive(Debug)]
+struct Stream {
+    dataset: Arc<Dataset>,
+    split: Split,
+    config: RlConfig,
+    options: LoaderOptions,
+    loader: Loader<World>,
+}
+
+impl MapPool {
+    /// Maps that are never replaced.
+    ///
+    /// # Errors
+    /// If none of them can teach anything.
+    pub fn fixed(maps: Vec<Arc<World>>) -> Result<Self, NothingToLearn> {
+        let all = maps.len();
+        let numbered = (0..).zip(maps).filter(|(_, map)| map.can_teach());
+        let maps: Vec<_> = numbered.collect();
+        if maps.is_empty() {
+            return Err(NothingToLearn { maps: all });
+        }
+        Ok(Self { maps, replaced: 0, stream: None })
+    }
+
+    /// All maps of a split if they take at most `memory_bytes`, else as many as that holds, in the
+    /// order that `seed` gives them.
+    ///
+    /// # Errors
+    /// If a record cannot be read, or no map can teach anything.
+    pub fn of_split(
+        dataset: &Arc<Dataset>,
+        split: Split,
+        config: &RlConfig,
+        memory_bytes: usize,
+        seed: u64,
+    ) -> Result<Self, PoolError> {
+        let records = dataset.ids().iter().filter(|&&(_, of)| of == split).count();
+        let capacity = memory_bytes / World::bytes(dataset.manifest().cells as usize);
+        if records > 0 && records <= capacity {
+            return Ok(Self::fixed(load_split(dataset, split, config)?)?);
+        }
+        let memory_bytes = memory_bytes / AHEAD;
+        let options = LoaderOptions { seed, threads: DECODERS, memory_bytes };
+        let mut stream = Stream::new(dataset, split, config, options, 0)?;
+        let mut maps = Vec::new();
+        while maps.len() < capacity.max(1) {
+            match stream.next(&maps)? {
+                Some(next) => maps.push(next),
+                None if maps.is_empty() => return Err(NothingToLearn { maps: records }.into()),
+                None => break,
+            }
+        }
+        Ok(Self { maps, replaced: 0, stream: Some(stream) })
+    }
+
+    /// The maps, and their numbers.
+    #[must_use]
+    pub fn maps(&self) -> &[(u32, Arc<World>)] {
+        &self.maps
+    }
+
+    /// Whether other maps come and go.
+    #[must_use]
+    pub fn is_streamed(&self) -> bool {
+        self.stream.is_some()
+    }
+
+    /// Replaces the map that is in the pool for longest, if there is another; returns its place.
+    ///
+    /// # Errors
+    /// If a record cannot be read.
+    pub fn refresh(&mut self) -> Result<Option<usize>, PoolError> {
+        let Some(stream) = &mut self.stream else { return Ok(None) };
+        let Some(next) = stream.next(&self.maps)? else { return Ok(None) };
+        let place = (self.replaced % self.maps.len() as u64) as usize;
+        self.maps[place] = next;
+        self.replaced += 1;
+        Ok(Some(place))
+    }
+
+    /// How long training had to wait for maps so far.
+    #[must_use]
+    pub fn waited(&self) -> Duration {
+        self.stream.as_ref().map_or(Duration::ZERO, |stream| stream.loader.waited())
+    }
+
+    /// What a checkpoint must keep.
+    #[must_use]
+    pub fn state(&self) -> PoolState {
+        PoolState {
+            numbers: self.maps.iter().map(|&(number, _)| number).collect(),
+            cursor: self.stream.as_ref().map_or(0, |stream| stream.loader.cursor()),
+            replaced: self.replaced,
+        }
+    }
+
+    /// Goes on where a checkpoint was made; `false`, and nothing is changed, if it does not fit.
+    ///
+    /// # Errors
+    /// If a record cannot be read.
+    pub fn restore(&mut self, state: &PoolState) -> Result<bool, PoolError> {
+        let Some(stream) = &mut self.stream else { return Ok(*state == self.state()) };
+        let ids = state.numbers.iter().map(|&number| stream.loader.ids().get(number as usize));
+        let Some(ids) = ids.map(Option::<&TileId>::copied).collect::<Option<Vec<TileId>>>() else {
+            return Ok(false);
+        };
+        if ids.len() != self.maps.len() {
+            return Ok(false);
+        }
+        let maps = load(&stream.dataset, &ids, &stream.config)?;
+        stream.seek(state.cursor)?;
+        self.maps = state.numbers.iter().copied().zip(maps).collect();
+        self.replaced = state.replaced;
+        Ok(true)
+    }
+}
+
+impl Stream {
+    fn new(
+        dataset: &Arc<Dataset>,
+        split: Split,
+        config: &RlConfig,
+        options: LoaderOptions,
+        cursor: u64,
+    ) -> Result<Self, LoaderError> {
+        let of = config.clone();
+        let decode = move |record, grids| World::new(&record, &grids, &of);
+        let loader = Loader::new(dataset, split, options, cursor, decode)?;
+        Ok(Self { dataset: Arc::clone(dataset), split, config: config.clone(), options, loader })
+    }
+
+    fn seek(&mut self, cursor: u64) -> Result<(), LoaderError> {
+        *self = Self::new(&self.dataset, self.split, &self.config, self.options, cursor)?;
+        Ok(())
+    }
+
+    /// The next map that can teach something and is not among these, within an epoch.
+    fn next(&mut self, held: &[(u32, Arc<World>)]) -> Result<Option<(u32, Arc<World>)>, ReadError> {
+        for _ in 0..self.loader.ids().len() {
+            let loaded = self.loader.next().expect("a loader has no end")?;
+            let is_held = held.iter().any(|&(number, _)| number == loaded.number);
+            if !is_held && loaded.value.can_teach() {
+                return Ok(Some((loaded.number, Arc::new(loaded.value))));
+            }
+        }
+        Ok(None)
+    }
 }

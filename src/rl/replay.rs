@@ -2,34 +2,53 @@
 //!
 //! A state of `I_A` and `I_B` is 187 kB; a million of them would take 187 GB. But it is a function
 //! of the map and the visited cells, so a transition keeps just those: the map's number, the
-//! cells as 16-bit positions, action, reward and whether the episode ended there. With the default
-//! limit of eight steps that is 26 bytes; a million transitions take 26 MB.
+//! cells as 16-bit positions, action, rewards and whether the episode ended there. With the default
+//! limit of eight steps that is 28 bytes; a million transitions take 28 MB.
 
 use super::cell::Cell;
 use super::flight::{REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP};
-use super::random::Random;
 
-/// A step of an episode.
+/// One or more steps of an episode, from a state to a later one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transition {
-    /// Number of the map in the pool.
+    /// Number of the map: its position among the records of the split.
     pub map: u32,
-    /// The cells visited before the step, the start first.
-    pub visited: Vec<Cell>,
-    /// The action.
+    /// The cells visited, the start of the episode first, the cell that the transition leads to
+    /// last.
+    pub path: Vec<Cell>,
+    /// The action of the first step.
     pub action: usize,
-    /// The reward, `eqn:reward`.
-    pub reward: f32,
-    /// The cell that the UAV came to.
-    pub next: Cell,
+    /// The rewards of the steps, `eqn:reward`. The first step begins before as many of the cells.
+    pub rewards: Vec<f32>,
     /// Whether the episode ended at a coverage hole there, so that the state has no value. At the
     /// time limit it keeps its value.
     pub terminal: bool,
 }
 
+impl Transition {
+    /// The cells visited before the first step.
+    #[must_use]
+    pub fn before(&self) -> &[Cell] {
+        &self.path[..self.path.len() - self.rewards.len()]
+    }
+
+    /// The return of the steps, `Σ γ^i r_i`, and the factor `γ^n` of what the last state is worth
+    /// (0 if the episode ended).
+    #[must_use]
+    pub fn discounted(&self, discount: f64) -> [f64; 2] {
+        let sum = |[sum, factor]: [f64; 2], &reward: &f32| {
+            [sum + factor * f64::from(reward), factor * discount]
+        };
+        let [sum, factor] = self.rewards.iter().fold([0.0, 1.0], sum);
+        [sum, if self.terminal { 0.0 } else { factor }]
+    }
+}
+
 const REWARDS: [f32; 3] = [REWARD_HOLE, REWARD_STEP, REWARD_BLOCKED];
-/// Map, action, reward with the end, number of visited cells.
-const FIXED_BYTES: usize = 4 + 2 + 1 + 1;
+/// Steps that a transition may span: their rewards take two bits each.
+pub const MAX_STEPS: usize = 8;
+/// Map, action, rewards, number of steps with the end, number of cells.
+const FIXED_BYTES: usize = 4 + 2 + 2 + 1 + 1;
 
 /// A ring of transitions, each of a fixed number of bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,6 +59,8 @@ pub struct Replay {
     /// Transitions that were ever added.
     added: u64,
     bytes: Vec<u8>,
+    /// Transitions in the buffer on each map, by its number.
+    on_map: Vec<u32>,
 }
 
 impl Replay {
@@ -51,15 +72,22 @@ impl Replay {
     #[must_use]
     pub fn new(capacity: usize, cells: usize, max_steps: usize) -> Self {
         assert!(cells <= 256 && max_steps < 256, "positions and steps fit into 16 and 8 bits");
-        let mut replay = Self { cells, max_steps, capacity, added: 0, bytes: Vec::new() };
+        let mut replay =
+            Self { cells, max_steps, capacity, added: 0, bytes: Vec::new(), on_map: Vec::new() };
         replay.bytes.reserve_exact(capacity * replay.stride());
         replay
+    }
+
+    /// Bytes of a transition of an episode of at most `max_steps` steps.
+    #[must_use]
+    pub fn stride_of(max_steps: usize) -> usize {
+        FIXED_BYTES + 2 * (max_steps + 1)
     }
 
     /// Bytes of a transition.
     #[must_use]
     pub fn stride(&self) -> usize {
-        FIXED_BYTES + 2 * (self.max_steps + 1)
+        Self::stride_of(self.max_steps)
     }
 
     /// Number of transitions in the buffer.
@@ -89,6 +117,8 @@ impl Replay {
         let fits = bytes.len() == expected;
         if fits {
             (self.added, self.bytes) = (added, bytes);
+            self.on_map.clear();
+            (0..self.len()).for_each(|at| self.count(at));
         }
         fits
     }
@@ -102,30 +132,61 @@ impl Replay {
         Cell::new((at / self.cells) as i32, (at % self.cells) as i32)
     }
 
-    /// Adds a transition, in the place of the oldest if the buffer is full.
+    /// Counts the transition at a position for its map.
+    fn count(&mut self, at: usize) {
+        let map = self.map(at) as usize;
+        self.on_map.resize(self.on_map.len().max(map + 1), 0);
+        self.on_map[map] += 1;
+    }
+
+    /// Adds a transition, in the place of the oldest if the buffer is full; returns its position.
     ///
     /// # Panics
     /// If it has more cells than the episodes that the buffer was made for, or another reward than
     /// those of `eqn:reward`.
-    pub fn push(&mut self, transition: &Transition) {
-        let Transition { map, visited, action, reward, next, terminal } = transition;
-        assert!((1..=self.max_steps).contains(&visited.len()), "an episode within its limit");
-        let reward = REWARDS.iter().position(|known| known == reward);
-        let reward = reward.expect("one of the three rewards") as u8;
+    pub fn push(&mut self, transition: &Transition) -> usize {
+        let Transition { map, path, action, rewards, terminal } = transition;
+        assert!(path.len() <= self.max_steps + 1, "an episode within its limit");
+        assert!((1..=MAX_STEPS.min(path.len() - 1)).contains(&rewards.len()), "steps and a start");
+        let code = |reward| REWARDS.iter().position(|known| known == reward);
+        let codes = rewards.iter().rev().fold(0_u16, |codes, reward| {
+            codes << 2 | code(reward).expect("one of the three rewards") as u16
+        });
         let mut bytes = Vec::with_capacity(self.stride());
         bytes.extend(map.to_le_bytes());
         bytes.extend((*action as u16).to_le_bytes());
-        bytes.push(reward | u8::from(*terminal) << 7);
-        bytes.push(visited.len() as u8);
-        bytes.extend(visited.iter().chain([next]).flat_map(|&cell| self.position(cell)));
+        bytes.extend(codes.to_le_bytes());
+        bytes.push(rewards.len() as u8 | u8::from(*terminal) << 7);
+        bytes.push(path.len() as u8);
+        bytes.extend(path.iter().flat_map(|&cell| self.position(cell)));
         bytes.resize(self.stride(), 0);
+        let at = (self.added % self.capacity as u64) as usize;
         if self.len() < self.capacity {
             self.bytes.extend(bytes);
         } else {
-            let at = (self.added as usize % self.capacity) * self.stride();
-            self.bytes[at..at + bytes.len()].copy_from_slice(&bytes);
+            let oldest = self.map(at) as usize;
+            self.on_map[oldest] -= 1;
+            self.bytes[at * bytes.len()..(at + 1) * bytes.len()].copy_from_slice(&bytes);
         }
         self.added += 1;
+        self.count(at);
+        at
+    }
+
+    /// Number of the map of the transition at a position.
+    ///
+    /// # Panics
+    /// If there is none.
+    #[must_use]
+    pub fn map(&self, at: usize) -> u32 {
+        let bytes = &self.bytes[at * self.stride()..][..4];
+        u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])
+    }
+
+    /// Number of transitions on a map.
+    #[must_use]
+    pub fn on_map(&self, number: u32) -> usize {
+        self.on_map.get(number as usize).map_or(0, |&count| count as usize)
     }
 
     /// The transition at a position.
@@ -136,60 +197,61 @@ impl Replay {
     pub fn get(&self, at: usize) -> Transition {
         let bytes = &self.bytes[at * self.stride()..(at + 1) * self.stride()];
         let (fixed, cells) = bytes.split_at(FIXED_BYTES);
-        let count = usize::from(fixed[7]);
-        let mut visited: Vec<Cell> =
-            cells.chunks_exact(2).take(count + 1).map(|position| self.cell(position)).collect();
-        let next = visited.pop().expect("a step leads somewhere");
+        let codes = u16::from_le_bytes([fixed[6], fixed[7]]);
+        let [steps, count] = [fixed[8] & 0x7f, fixed[9]].map(usize::from);
         Transition {
-            map: u32::from_le_bytes([fixed[0], fixed[1], fixed[2], fixed[3]]),
-            visited,
+            map: self.map(at),
+            path: cells.chunks_exact(2).take(count).map(|position| self.cell(position)).collect(),
             action: u16::from_le_bytes([fixed[4], fixed[5]]).into(),
-            reward: REWARDS[usize::from(fixed[6] & 0x7f)],
-            next,
-            terminal: fixed[6] >> 7 == 1,
+            rewards: (0..steps).map(|i| REWARDS[usize::from(codes >> (2 * i) & 3)]).collect(),
+            terminal: fixed[8] >> 7 == 1,
         }
-    }
-
-    /// Transitions at random, each as likely as any other, some perhaps twice.
-    ///
-    /// # Panics
-    /// If the buffer is empty.
-    #[must_use]
-    pub fn sample(&self, count: usize, random: &mut Random) -> Vec<Transition> {
-        (0..count).map(|_| self.get(random.below(self.len()))).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rl::Random;
 
     fn transition(n: u64) -> Transition {
         let mut random = Random::keyed(&[n]);
         let mut cell = || Cell::new(random.below(121) as i32, random.below(121) as i32);
-        let visited = (0..=n % 8).map(|_| cell()).collect();
-        let (next, terminal) = (cell(), n.is_multiple_of(3));
-        let reward = REWARDS[(n % 3) as usize];
-        Transition {
-            map: n as u32,
-            visited,
-            action: (n * 37 % 961) as usize,
-            reward,
-            next,
-            terminal,
-        }
+        let path: Vec<Cell> = (0..n % 8 + 2).map(|_| cell()).collect();
+        let steps = 1 + n as usize % (path.len() - 1);
+        let rewards = (0..steps).map(|step| REWARDS[(n as usize + step) % 3]).collect();
+        let (action, terminal) = ((n * 37 % 961) as usize, n.is_multiple_of(3));
+        Transition { map: n as u32, path, action, rewards, terminal }
+    }
+
+    #[test]
+    fn returns_by_hand() {
+        let path = vec![Cell::default(); 5];
+        let mut transition = Transition {
+            map: 0,
+            path,
+            action: 0,
+            rewards: vec![-0.25, -1.25, 0.0],
+            terminal: true,
+        };
+        assert_eq!(transition.before().len(), 2);
+        assert_eq!(transition.discounted(0.5), [-0.25 - 0.5 * 1.25, 0.0]);
+        transition.terminal = false;
+        assert_eq!(transition.discounted(0.5), [-0.875, 0.125]);
     }
 
     #[test]
     fn transitions_come_back_as_they_were_and_the_oldest_goes() {
         let mut replay = Replay::new(10, 121, 8);
-        (0..25).for_each(|n| replay.push(&transition(n)));
+        (0..25).for_each(|n| assert_eq!(replay.push(&transition(n)), n as usize % 10));
         assert_eq!(replay.len(), 10);
         for at in 0..10 {
             // 25 were added: 20 to 24 over 10 to 14.
             let n = if at < 5 { 20 + at } else { 10 + at };
             assert_eq!(replay.get(at), transition(n as u64));
         }
+        let counts: Vec<usize> = (0..25).map(|map| replay.on_map(map)).collect();
+        assert_eq!(counts, [[0; 15].as_slice(), &[1; 10]].concat());
         assert!(replay.stride() <= 64, "{}", replay.stride());
     }
 
@@ -201,14 +263,13 @@ mod tests {
     #[test]
     fn a_restored_buffer_goes_on_as_the_old_one() {
         let mut replay = Replay::new(10, 121, 8);
-        (0..13).for_each(|n| replay.push(&transition(n)));
+        (0..13).for_each(|n| assert_eq!(replay.push(&transition(n)), n as usize % 10));
         let (added, bytes) = replay.state();
         let (added, bytes) = (added, bytes.to_vec());
         let mut restored = Replay::new(10, 121, 8);
         assert!(!restored.restore(added, bytes[1..].to_vec()));
         assert!(restored.restore(added, bytes));
-        replay.push(&transition(13));
-        restored.push(&transition(13));
+        assert_eq!(replay.push(&transition(13)), restored.push(&transition(13)));
         assert_eq!(restored, replay);
     }
 }

@@ -13,7 +13,6 @@
 //! stays in the second-level cache.
 
 use super::cell::{Actions, Cell};
-use super::flight::reward;
 use super::world::World;
 
 const WORD: usize = u64::BITS as usize;
@@ -43,6 +42,14 @@ impl ActionSet {
             .iter()
             .enumerate()
             .flat_map(|(at, &word)| Ones(word).map(move |bit| at * WORD + bit))
+    }
+
+    /// 1 for each of `count` actions that is in the set, 0 for the others.
+    #[must_use]
+    pub fn flags(&self, count: usize) -> Vec<f32> {
+        let mut flags = vec![0.0; count];
+        self.iter().for_each(|action| flags[action] = 1.0);
+        flags
     }
 
     /// The n-th action, from 0.
@@ -156,22 +163,6 @@ impl Sight {
         if rest > 0 {
             blocked[self.words - 1] &= (1 << rest) - 1;
         }
-    }
-}
-
-/// The rewards of all actions, `eqn:reward`, and whether each would end the episode: what training
-/// may know of a state for free.
-pub fn rewards_into(
-    sight: &Sight,
-    world: &World,
-    from: Cell,
-    permissible: &ActionSet,
-    mut store: impl FnMut(usize, f32, bool),
-) {
-    for action in 0..sight.actions().count() {
-        let is_permissible = permissible.contains(action);
-        let is_hole = is_permissible && world.is_hole(from + sight.actions().offset(action));
-        store(action, reward(is_permissible, is_hole), is_hole);
     }
 }
 

@@ -22,6 +22,12 @@ impl Symmetry {
         Self(n as u8)
     }
 
+    /// Which one it is.
+    #[must_use]
+    pub fn number(self) -> usize {
+        self.0.into()
+    }
+
     /// Where a cell of a square of `side` cells comes to lie.
     #[must_use]
     pub fn of(self, cell: Cell, side: usize) -> Cell {

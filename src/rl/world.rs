@@ -116,6 +116,13 @@ impl World {
         }
     }
 
+    /// Memory that a map of `cells` × `cells` takes, at most, in bytes: heights and levels of 32
+    /// bits, three bytes of flags, the positions of episodes' starts, rows of bits with a border.
+    #[must_use]
+    pub fn bytes(cells: usize) -> usize {
+        (4 + 4 + 3 + 4 + 1) * cells * cells + size_of::<Self>()
+    }
+
     /// The map as somebody has stored it who lacks a share of the buildings (connected occupied
     /// cells): each is missing with this probability. Levels and holes stay as they are.
     #[must_use]
@@ -296,6 +303,18 @@ impl World {
     pub fn free_cells(&self) -> Vec<Cell> {
         let all = 0..self.cells * self.cells;
         all.filter(|&at| !self.occupied[at]).map(|at| self.cell(at)).collect()
+    }
+
+    /// Free cells that are no holes, row by row.
+    pub fn covered(&self) -> impl Iterator<Item = Cell> {
+        let all = 0..self.cells * self.cells;
+        all.filter(|&at| !self.occupied[at] && !self.holes[at]).map(|at| self.cell(at))
+    }
+
+    /// Whether there is something to find and somewhere to begin: a hole and a covered free cell.
+    #[must_use]
+    pub fn can_teach(&self) -> bool {
+        self.holes.contains(&true) && self.covered().next().is_some()
     }
 
     /// Coverage holes, row by row.

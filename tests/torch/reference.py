@@ -20,27 +20,33 @@ def q_values(weights: dict[str, torch.Tensor], whole: torch.Tensor, near: torch.
     for name in ("window.0", "window.1"):
         near = layer(name, near).relu()
     hidden = transposed("head.0", torch.cat([whole, near], 1)).relu()
-    return transposed("head.1", hidden).flatten(2)
+    outputs = transposed("head.1", hidden).flatten(2)
+    if "value.weight" not in weights:
+        return outputs
+    value = functional.linear(hidden.mean((2, 3)), weights["value.weight"], weights["value.bias"])
+    advantages = outputs[:, :1]
+    return torch.cat([advantages - advantages.mean(2, keepdim=True) + value[:, None], outputs[:, 1:]], 1)
 
 
 def loss(
-    policy: dict[str, torch.Tensor], target: dict[str, torch.Tensor], batch: dict[str, torch.Tensor], paper: bool
+    policy: dict[str, torch.Tensor], target: dict[str, torch.Tensor], batch: dict[str, torch.Tensor], preset: str
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """What is minimised, and its part of Q-values."""
     with torch.no_grad():
         online = q_values(policy, batch["next_map"], batch["next_window"])[:, 0]
-        if not paper:
+        if preset != "paper":
             online = online.masked_fill(batch["next_permissible"] == 0, -torch.inf)
         best = online.argmax(1)
         value = q_values(target, batch["next_map"], batch["next_window"])[torch.arange(len(best)), 0, best]
-        y = batch["reward"] + 0.99 * (1 - batch["terminal"]) * value
+        y = batch["reward"] + batch["discount"] * value
     outputs = q_values(policy, batch["map"], batch["window"])
     q = outputs[:, 0]
     taken = q[torch.arange(len(y)), batch["action"]]
-    if paper:
+    if preset == "paper":
         q_loss = ((y - taken) ** 2).mean()
         return q_loss + (batch["reward"] ** 2).mean(), q_loss
-    q_loss = functional.huber_loss(taken, y)
+    errors = functional.huber_loss(taken, y, reduction="none")
+    q_loss = (errors * batch["weights"]).mean() if preset == "other" else errors.mean()
     terminal = batch["all_terminal"]
     dense = (functional.huber_loss(q, torch.zeros_like(q), reduction="none") * terminal).sum() / terminal.sum().clamp(1)
     rewards = ((outputs[:, 1] - batch["all_rewards"]) ** 2).mean()

@@ -1,14 +1,18 @@
 //! From references in the replay to tensors: states are encoded when they are sampled.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 use tch::{Device, Tensor};
 
-use crate::config::RlConfig;
+use super::device::upload;
+use super::encoding::{DeviceEncoder, Reference};
+use crate::config::{RlConfig, TrainConfig};
 use crate::rl::policy::View;
 use crate::rl::{
-    Cell, Encoder, Measurement, Random, Sight, State, Symmetry, Transition, World, rewards_into,
+    ActionSet, Cell, Encoder, Measurement, Random, Sight, State, Symmetry, Transition, World,
+    rewards_into,
 };
 
 /// A batch of transitions; states as [`Encoder`] writes them.
@@ -20,38 +24,57 @@ pub struct Batch {
     pub window: Tensor,
     /// The actions taken, `[batch]`.
     pub action: Tensor,
-    /// Their rewards, `[batch]`.
+    /// What they brought: the return of the steps that the transition spans, `[batch]`.
     pub reward: Tensor,
-    /// 1 where the episode ended at a hole, `[batch]`.
-    pub terminal: Tensor,
+    /// What a Q-value after the step is worth, `[batch]`: γ for each step, 0 where the episode
+    /// ended at a hole.
+    pub discount: Tensor,
     /// `I_A` after the step.
     pub next_map: Tensor,
     /// `I_B` after the step.
     pub next_window: Tensor,
     /// 1 for actions that are permissible after the step, `[batch, actions]`.
     pub next_permissible: Tensor,
-    /// The rewards of all actions before the step, `[batch, actions]`.
-    pub all_rewards: Tensor,
-    /// 1 for actions that would end the episode, `[batch, actions]`.
-    pub all_terminal: Tensor,
+    /// The rewards of all actions before the step, `[batch, actions]`, if they are to be learned.
+    pub all_rewards: Option<Tensor>,
+    /// 1 for actions that would end the episode, `[batch, actions]`, if they are to be learned.
+    pub all_terminal: Option<Tensor>,
 }
 
 /// Makes batches.
 #[derive(Debug)]
 pub struct Batcher {
+    maps: Maps,
     encoder: Encoder,
-    sight: Sight,
-    maps: Vec<Arc<World>>,
-    cells: usize,
     device: Device,
+    /// If states are encoded elsewhere than on the CPU.
+    on_device: Option<DeviceEncoder>,
+    discount: f64,
 }
 
-/// The numbers of one sample, parts of the batch's buffers.
-struct Sample<'a> {
-    states: [(&'a mut [f32], &'a mut [f32]); 2],
-    next_permissible: &'a mut [f32],
-    rewards: &'a mut [f32],
-    terminal: &'a mut [f32],
+/// The maps, and what is known of actions on them.
+#[derive(Debug)]
+struct Maps {
+    sight: Sight,
+    /// With their numbers.
+    held: Vec<(u32, Arc<World>)>,
+    places: HashMap<u32, usize>,
+    /// Whether all rewards are learned, or the Q-values of all actions that end the episode.
+    learns_all: bool,
+}
+
+/// The numbers of one sample that are the same wherever states are encoded.
+#[derive(Default)]
+struct Sample {
+    next_permissible: Vec<f32>,
+    rewards: Vec<f32>,
+    terminal: Vec<f32>,
+}
+
+/// What a UAV has measured in cells of a map.
+fn measured(world: &World, cells: &[Cell]) -> Vec<Measurement> {
+    let measure = |&cell: &Cell| Measurement { cell, rsrp_dbm: world.rsrp_dbm(cell) };
+    cells.iter().map(measure).collect()
 }
 
 impl Batcher {
@@ -60,142 +83,190 @@ impl Batcher {
     /// # Panics
     /// If there is no map.
     #[must_use]
-    pub fn new(maps: &[Arc<World>], config: &RlConfig, device: Device) -> Self {
-        let cells = maps.first().expect("there are maps").cells();
-        let (encoder, sight) = (Encoder::new(cells, config), Sight::new(config.reach_cells));
-        Self { encoder, sight, maps: maps.to_vec(), cells, device }
+    pub fn new(
+        maps: Vec<(u32, Arc<World>)>,
+        rl: &RlConfig,
+        train: &TrainConfig,
+        device: Device,
+    ) -> Self {
+        let cells = maps.first().expect("there are maps").1.cells();
+        let encoder = Encoder::new(cells, rl);
+        let on_device =
+            (device != Device::Cpu).then(|| DeviceEncoder::new(&encoder, maps.len(), rl, device));
+        let (sight, places) = (Sight::new(rl.reach_cells), HashMap::new());
+        let learns_all = train.reward_prediction > 0.0 || train.dense_terminal;
+        let held = Maps { sight, held: maps.clone(), places, learns_all };
+        let mut batcher = Self { maps: held, encoder, device, on_device, discount: train.discount };
+        for (place, (number, map)) in maps.into_iter().enumerate() {
+            batcher.replace(place, number, map);
+        }
+        batcher
     }
 
-    /// What a UAV has measured in cells of a map.
-    fn measured(world: &World, cells: &[Cell]) -> Vec<Measurement> {
-        let measure = |&cell: &Cell| Measurement { cell, rsrp_dbm: world.rsrp_dbm(cell) };
-        cells.iter().map(measure).collect()
+    /// Puts another map in the place of one.
+    pub fn replace(&mut self, place: usize, number: u32, map: Arc<World>) {
+        if let Some(on_device) = &mut self.on_device {
+            on_device.put(place, &map);
+        }
+        self.maps.places.remove(&self.maps.held[place].0);
+        self.maps.places.insert(number, place);
+        self.maps.held[place] = (number, map);
     }
 
-    /// `I_A` and `I_B` of episodes, each a map and the visited cells.
-    pub fn states(&self, states: &[(&World, &[Cell])]) -> [Tensor; 2] {
-        let measured: Vec<(&World, Vec<Measurement>)> =
-            states.iter().map(|&(world, cells)| (world, Self::measured(world, cells))).collect();
-        let states = measured.iter().map(|(world, measured)| State::new(world, measured));
-        self.encode(&states.collect::<Vec<_>>())
+    /// Whether there is a map of this number.
+    #[must_use]
+    pub fn holds(&self, number: u32) -> bool {
+        self.maps.places.contains_key(&number)
     }
 
-    /// `I_A` and `I_B` of flights, with the levels that they have measured.
-    pub fn measured_states(&self, views: &[View<'_, '_>]) -> [Tensor; 2] {
-        let states = views.iter().map(|view| State::new(view.known, view.flight.measurements()));
-        self.encode(&states.collect::<Vec<_>>())
+    /// `I_A` and `I_B` of episodes, each the number of a map and the visited cells.
+    ///
+    /// # Panics
+    /// If there is no map of such a number.
+    pub fn states(&self, states: &[(u32, &[Cell])]) -> [Tensor; 2] {
+        let references = states.iter().map(|&(number, visited)| {
+            let (place, world) = self.maps.place(number);
+            Reference { place, world, visited, symmetry: Symmetry::IDENTITY }
+        });
+        self.encode(&references.collect::<Vec<_>>())
     }
 
-    fn encode(&self, states: &[State<'_>]) -> [Tensor; 2] {
-        let mut maps = vec![0.0; states.len() * self.encoder.map_len()];
-        let mut windows = vec![0.0; states.len() * self.encoder.window_len()];
-        self.encoder.encode_batch(states, &mut maps, &mut windows);
-        self.inputs(&maps, &windows)
-    }
-
-    fn inputs(&self, maps: &[f32], windows: &[f32]) -> [Tensor; 2] {
-        let square = |numbers: &[f32], side: usize| {
-            Tensor::from_slice(numbers)
-                .reshape([-1, 3, side as i64, side as i64])
-                .to_device(self.device)
-        };
-        [square(maps, self.cells), square(windows, self.sight.actions().side())]
+    fn encode(&self, references: &[Reference<'_>]) -> [Tensor; 2] {
+        if let Some(on_device) = &self.on_device {
+            return on_device.encode(references);
+        }
+        let measured: Vec<Vec<Measurement>> =
+            references.iter().map(|state| measured(state.world, state.visited)).collect();
+        let states = references.iter().zip(&measured).map(|(state, measurements)| State {
+            world: state.world,
+            measurements,
+            symmetry: state.symmetry,
+        });
+        encode_states(&self.encoder, &states.collect::<Vec<_>>(), self.device)
     }
 
     /// A batch of transitions; with `augment` each is turned or flipped as the keyed random
     /// numbers tell.
+    ///
+    /// # Panics
+    /// If a transition is on a map that is not held.
     #[must_use]
     pub fn batch(&self, transitions: &[Transition], augment: Option<&mut Random>) -> Batch {
-        let actions = self.sight.actions();
-        let (map_len, window_len) = (self.encoder.map_len(), self.encoder.window_len());
-        let count = transitions.len();
         let symmetries: Vec<Symmetry> = match augment {
             Some(random) => {
-                (0..count).map(|_| Symmetry::new(random.below(Symmetry::COUNT))).collect()
+                let symmetry = |_| Symmetry::new(random.below(Symmetry::COUNT));
+                transitions.iter().map(symmetry).collect()
             }
-            None => vec![Symmetry::IDENTITY; count],
+            None => vec![Symmetry::IDENTITY; transitions.len()],
         };
-        let buffer = |length: usize| vec![0.0_f32; count * length];
-        let mut states = [0, 1].map(|_| (buffer(map_len), buffer(window_len)));
-        let [mut next_permissible, mut rewards, mut terminal] =
-            [(); 3].map(|()| buffer(actions.count()));
-        let [before, after] = &mut states;
-        let samples = before
-            .0
-            .par_chunks_exact_mut(map_len)
-            .zip(before.1.par_chunks_exact_mut(window_len))
-            .zip(
-                after.0.par_chunks_exact_mut(map_len).zip(after.1.par_chunks_exact_mut(window_len)),
-            )
-            .zip(next_permissible.par_chunks_exact_mut(actions.count()))
-            .zip(rewards.par_chunks_exact_mut(actions.count()))
-            .zip(terminal.par_chunks_exact_mut(actions.count()));
-        samples.zip(transitions).zip(&symmetries).for_each(
-            |(((((states, next_permissible), rewards), terminal), transition), &symmetry)| {
-                let states = [states.0, states.1];
-                let sample = Sample { states, next_permissible, rewards, terminal };
-                self.fill(sample, transition, symmetry);
-            },
-        );
-        let per_action = |numbers: &[f32]| {
-            Tensor::from_slice(numbers)
-                .reshape([count as i64, actions.count() as i64])
-                .to_device(self.device)
-        };
-        let each = |value: fn(&Transition) -> f32| {
-            let values: Vec<f32> = transitions.iter().map(value).collect();
-            Tensor::from_slice(&values).to_device(self.device)
-        };
-        let turned = transitions.iter().zip(&symmetries);
-        let action: Vec<i64> = turned
-            .map(|(transition, symmetry)| {
-                let side = actions.side();
-                let at =
-                    Cell::new((transition.action / side) as i32, (transition.action % side) as i32);
-                let at = symmetry.of(at, side);
-                i64::from(at.row) * side as i64 + i64::from(at.column)
-            })
+        let turned: Vec<(&Transition, Symmetry)> = transitions.iter().zip(symmetries).collect();
+        let maps = &self.maps;
+        let samples: Vec<Sample> = turned
+            .par_iter()
+            .map(|&(transition, symmetry)| maps.sample(transition, symmetry))
             .collect();
-        let [map, window] = self.inputs(&states[0].0, &states[0].1);
-        let [next_map, next_window] = self.inputs(&states[1].0, &states[1].1);
+        let states = |visited: fn(&Transition) -> &[Cell]| {
+            let references = turned.iter().map(|&(transition, symmetry)| {
+                let (place, world) = self.maps.place(transition.map);
+                Reference { place, world, visited: visited(transition), symmetry }
+            });
+            self.encode(&references.collect::<Vec<_>>())
+        };
+        let [map, window] = states(Transition::before);
+        let [next_map, next_window] = states(|transition| &transition.path);
+        let per_action = |part: fn(&Sample) -> &[f32]| {
+            let numbers: Vec<f32> = samples.iter().flat_map(part).copied().collect();
+            upload(&numbers, self.device).reshape([samples.len() as i64, -1])
+        };
+        let actions: Vec<i64> = turned
+            .iter()
+            .map(|&(transition, symmetry)| maps.action(transition, symmetry))
+            .collect();
+        let returns = transitions.iter().map(|transition| transition.discounted(self.discount));
+        let (rewards, discounts): (Vec<f32>, Vec<f32>) =
+            returns.map(|[reward, discount]| (reward as f32, discount as f32)).unzip();
         Batch {
             map,
             window,
-            action: Tensor::from_slice(&action).to_device(self.device),
-            reward: each(|transition| transition.reward),
-            terminal: each(|transition| f32::from(u8::from(transition.terminal))),
+            action: upload(&actions, self.device),
+            reward: upload(&rewards, self.device),
+            discount: upload(&discounts, self.device),
             next_map,
             next_window,
-            next_permissible: per_action(&next_permissible),
-            all_rewards: per_action(&rewards),
-            all_terminal: per_action(&terminal),
+            next_permissible: per_action(|sample| &sample.next_permissible),
+            all_rewards: maps.learns_all.then(|| per_action(|sample| &sample.rewards)),
+            all_terminal: maps.learns_all.then(|| per_action(|sample| &sample.terminal)),
         }
+    }
+}
+
+impl Maps {
+    /// A map that is held, and its place.
+    fn place(&self, number: u32) -> (usize, &World) {
+        let place = self.places[&number];
+        (place, &self.held[place].1)
     }
 
-    fn fill(&self, sample: Sample<'_>, transition: &Transition, symmetry: Symmetry) {
-        let world = &*self.maps[transition.map as usize];
-        let (actions, side) = (self.sight.actions(), self.sight.actions().side());
-        let mut visited = transition.visited.clone();
-        let from = *visited.last().expect("a step begins somewhere");
-        let [before, after] = sample.states;
-        for (buffers, next) in [(before, None), (after, Some(transition.next))] {
-            visited.extend(next);
-            let measurements = &Self::measured(world, &visited);
-            let state = State { world, measurements, symmetry };
-            self.encoder.encode(state, buffers.0, buffers.1);
-        }
-        let count = actions.count();
-        let (mut rewards, mut terminal) = (vec![0.0; count], vec![0.0; count]);
-        let permissible = self.sight.permissible(world, from);
-        rewards_into(&self.sight, world, from, &permissible, |action, reward, ends| {
-            (rewards[action], terminal[action]) = (reward, f32::from(u8::from(ends)));
-        });
-        symmetry.copy(&rewards, sample.rewards, side);
-        symmetry.copy(&terminal, sample.terminal, side);
-        let mut allowed = vec![0.0; count];
-        for action in self.sight.permissible(world, transition.next).iter() {
-            allowed[action] = 1.0;
-        }
-        symmetry.copy(&allowed, sample.next_permissible, side);
+    /// The action of a transition that is turned or flipped.
+    fn action(&self, transition: &Transition, symmetry: Symmetry) -> i64 {
+        let side = self.sight.actions().side();
+        let [row, column] = [transition.action / side, transition.action % side];
+        let cell = symmetry.of(Cell::new(row as i32, column as i32), side);
+        i64::from(cell.row) * side as i64 + i64::from(cell.column)
     }
+
+    fn sample(&self, transition: &Transition, symmetry: Symmetry) -> Sample {
+        let (_, world) = self.place(transition.map);
+        let actions = self.sight.actions();
+        let turned = |values: &[f32]| {
+            let mut turned = vec![0.0; values.len()];
+            symmetry.copy(values, &mut turned, actions.side());
+            turned
+        };
+        let next = *transition.path.last().expect("a step leads somewhere");
+        let allowed = self.sight.permissible(world, next).flags(actions.count());
+        let mut sample = Sample { next_permissible: turned(&allowed), ..Sample::default() };
+        if self.learns_all {
+            let [mut rewards, mut terminal] = [(); 2].map(|()| vec![0.0; actions.count()]);
+            let from = *transition.before().last().expect("a step begins somewhere");
+            let permissible = self.sight.permissible(world, from);
+            rewards_into(&self.sight, world, from, &permissible, |action, reward, ends| {
+                (rewards[action], terminal[action]) = (reward, f32::from(u8::from(ends)));
+            });
+            (sample.rewards, sample.terminal) = (turned(&rewards), turned(&terminal));
+        }
+        sample
+    }
+}
+
+/// `I_A` and `I_B` of flights, with the levels that they have measured.
+pub(super) fn encode_views(
+    encoder: &Encoder,
+    views: &[View<'_, '_>],
+    device: Device,
+) -> [Tensor; 2] {
+    let states = views.iter().map(|view| State::new(view.known, view.flight.measurements()));
+    encode_states(encoder, &states.collect::<Vec<_>>(), device)
+}
+
+/// 1 for the actions in each set, of `count` actions: `[sets, actions]`.
+pub(super) fn flags<'a>(
+    sets: impl Iterator<Item = &'a ActionSet>,
+    count: usize,
+    device: Device,
+) -> Tensor {
+    let flags: Vec<f32> = sets.flat_map(|set| set.flags(count)).collect();
+    upload(&flags, device).reshape([-1, count as i64])
+}
+
+/// States encoded by the CPU.
+fn encode_states(encoder: &Encoder, states: &[State<'_>], device: Device) -> [Tensor; 2] {
+    let mut maps = vec![0.0; states.len() * encoder.map_len()];
+    let mut windows = vec![0.0; states.len() * encoder.window_len()];
+    encoder.encode_batch(states, &mut maps, &mut windows);
+    let [cells, side] = [encoder.cells(), encoder.actions().side()].map(|side| side as i64);
+    [
+        upload(&maps, device).reshape([-1, 3, cells, cells]),
+        upload(&windows, device).reshape([-1, 3, side, side]),
+    ]
 }

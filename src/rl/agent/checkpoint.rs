@@ -2,7 +2,7 @@
 //!
 //! A checkpoint is a directory, written under a temporary name and renamed: `weights.safetensors` (the
 //! policy, all that a user of it needs), `learning.safetensors` (target network, moments of Adam) and
-//! `state.msgpack` (configuration, dataset, counters, episodes, replay).
+//! `state.msgpack` (configuration, dataset, counters, maps, episodes, replay).
 
 use std::path::{Path, PathBuf};
 
@@ -12,17 +12,23 @@ use tch::{Device, Tensor};
 
 use super::adam::Adam;
 use super::network::{QNetwork, ShapeError};
+use super::report::TotalsState;
+use super::trainer::TrainJob;
 use crate::config::{RlConfig, TrainConfig};
 use crate::error::{Fault, FileError, HasFault};
-use crate::rl::EpisodeState;
-use crate::store::write_atomic;
+use crate::manifest::{ManifestError, PolicyManifest, load};
+use crate::rl::{EpisodeState, PoolState, Recent, World};
+use crate::store::{MANIFEST, sha256_file, write_atomic};
 
 /// What names of directories begin with that are not whole yet.
 pub(super) const TEMPORARY: &str = ".holescout-checkpoint-";
 const SCHEMA: &str = "checkpoint.v1";
-const WEIGHTS: &str = "weights.safetensors";
+pub(super) const WEIGHTS: &str = "weights.safetensors";
 const LEARNING: &str = "learning.safetensors";
 const STATE: &str = "state.msgpack";
+/// Moments of Adam, all parameters in a row.
+const FIRST: &str = "adam.first";
+const SECOND: &str = "adam.second";
 
 /// Why a checkpoint cannot be written or used.
 #[derive(Debug, thiserror::Error)]
@@ -50,6 +56,9 @@ pub enum CheckpointError {
         /// What differs: key, expected, found.
         differences: Vec<String>,
     },
+    /// The manifest of an exported policy cannot be used.
+    #[error(transparent)]
+    Manifest(#[from] ManifestError),
     /// The network does not fit the maps.
     #[error(transparent)]
     Shape(#[from] ShapeError),
@@ -59,10 +68,36 @@ impl HasFault for CheckpointError {
     fn fault(&self) -> Fault {
         match self {
             Self::File(error) => error.fault(),
+            Self::Manifest(error) => error.fault(),
             Self::Shape(error) => error.fault(),
             Self::Format { .. } | Self::OtherRun { .. } => Fault::Input,
         }
     }
+}
+
+/// How far training is.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Counters {
+    /// Updates done.
+    pub updates: u64,
+    /// Steps of all episodes done.
+    pub steps: u64,
+    /// Best score on the validation split so far, and the update that had it.
+    pub best: Option<(f64, u64)>,
+    /// Judgements since then.
+    pub judged_since_best: u32,
+}
+
+/// What was lived through: maps, episodes under way, transitions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Memory {
+    pub(super) pool: PoolState,
+    pub(super) episodes: Vec<EpisodeState>,
+    pub(super) recent: Vec<Recent>,
+    pub(super) returns: Vec<f32>,
+    pub(super) replay_added: u64,
+    pub(super) replay: ByteBuf,
+    pub(super) priorities: ByteBuf,
 }
 
 /// What training goes on from, beside the tensors.
@@ -75,24 +110,33 @@ pub struct Checkpoint {
     pub train: TrainConfig,
     /// SHA-256 of the dataset's manifest.
     pub dataset_sha256: String,
-    /// Updates done.
-    pub updates: u64,
-    /// Steps of all episodes done.
-    pub steps: u64,
-    /// Best score on the validation split so far, and the update that had it.
-    pub best: Option<(f64, u64)>,
-    pub(super) episodes: Vec<EpisodeState>,
-    pub(super) replay_added: u64,
-    pub(super) replay: ByteBuf,
+    /// Cells along a side of its maps.
+    pub cells: u32,
+    /// Side of a cell, in metres.
+    pub cell_m: f64,
+    /// How far.
+    pub counters: Counters,
+    pub(super) totals: TotalsState,
+    pub(super) memory: Memory,
     adam_updates: i32,
 }
 
-/// What a checkpoint is made of, beside its tensors.
+/// The run that a checkpoint belongs to.
 #[derive(Debug)]
 pub(super) struct Run<'a> {
-    pub(super) rl: &'a RlConfig,
-    pub(super) train: &'a TrainConfig,
-    pub(super) dataset_sha256: &'a str,
+    rl: &'a RlConfig,
+    train: &'a TrainConfig,
+    dataset_sha256: &'a str,
+    cells: u32,
+    cell_m: f64,
+}
+
+impl<'a> Run<'a> {
+    pub(super) fn of(job: &TrainJob<'a>, map: &World) -> Self {
+        let TrainJob { rl, train, dataset_sha256, .. } = *job;
+        let (cells, cell_m) = (map.cells() as u32, map.cell_m());
+        Self { rl, train, dataset_sha256, cells, cell_m }
+    }
 }
 
 fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
@@ -102,22 +146,20 @@ fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
 impl Checkpoint {
     pub(super) fn new(
         run: &Run<'_>,
-        [updates, steps]: [u64; 2],
-        best: Option<(f64, u64)>,
-        episodes: Vec<EpisodeState>,
-        (replay_added, replay): (u64, &[u8]),
+        counters: Counters,
+        totals: TotalsState,
+        memory: Memory,
     ) -> Self {
         Self {
             schema: SCHEMA.to_owned(),
             rl: run.rl.clone(),
             train: run.train.clone(),
             dataset_sha256: run.dataset_sha256.to_owned(),
-            updates,
-            steps,
-            best,
-            episodes,
-            replay_added,
-            replay: ByteBuf::from(replay),
+            cells: run.cells,
+            cell_m: run.cell_m,
+            counters,
+            totals,
+            memory,
             adam_updates: 0,
         }
     }
@@ -133,23 +175,22 @@ impl Checkpoint {
         std::fs::create_dir_all(parent).map_err(FileError::new("create", parent))?;
         let temporary = tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(parent);
         let temporary = temporary.map_err(FileError::new("create", parent))?;
-        let (moments, updates) = adam.state();
+        let ([first, second], updates) = adam.state();
         self.adam_updates = updates;
         let save = |name: &str, tensors: Vec<(String, Tensor)>| {
             let path = temporary.path().join(name);
-            Tensor::write_safetensors(&tensors, &path).map_err(|error| invalid(&path, &error))?;
+            write_tensors(&path, &tensors)?;
             let file = std::fs::File::open(&path).map_err(FileError::new("open", &path))?;
             file.sync_all().map_err(FileError::new("sync", &path))?;
             Ok::<_, CheckpointError>(())
         };
         let named = |prefix: &str, network: &QNetwork| -> Vec<(String, Tensor)> {
-            network.named().map(|(name, one)| (format!("{prefix}{name}"), one.detach())).collect()
+            network.named().map(|(name, one)| (format!("{prefix}{name}"), one)).collect()
         };
         save(WEIGHTS, named("", policy))?;
         let mut learning = named("target.", target);
-        for ((name, _), [first, second]) in policy.named().zip(moments) {
-            learning.push((format!("adam.first.{name}"), first.shallow_clone()));
-            learning.push((format!("adam.second.{name}"), second.shallow_clone()));
+        for (name, moment) in [(FIRST, first), (SECOND, second)] {
+            learning.push((name.to_owned(), moment.shallow_clone()));
         }
         save(LEARNING, learning)?;
         let state = rmp_serde::to_vec_named(&self).expect("writing to memory cannot fail");
@@ -197,7 +238,14 @@ impl Checkpoint {
         for (section, expected, found) in &sections {
             for (key, expected) in expected.as_object().into_iter().flatten() {
                 // What is only watched does not change what is learned.
-                if !matches!(&**key, "checkpoint_every" | "evaluate_every" | "evaluate_starts") {
+                if !matches!(
+                    &**key,
+                    "checkpoint_every"
+                        | "evaluate_every"
+                        | "evaluate_maps"
+                        | "evaluate_starts"
+                        | "patience"
+                ) {
                     compare(&format!("{section}.{key}"), expected, &found[key]);
                 }
             }
@@ -216,13 +264,11 @@ impl Checkpoint {
         adam: &mut Adam,
     ) -> Result<(), CheckpointError> {
         let weights = Tensors::read(&directory.join(WEIGHTS))?;
-        policy.copy_from(&weights.of(policy, "")?);
+        policy.set(&weights.of(policy, "")?);
         let learning = Tensors::read(&directory.join(LEARNING))?;
-        target.copy_from(&learning.of(target, "target.")?);
-        let first = learning.of(policy, "adam.first.")?;
-        let second = learning.of(policy, "adam.second.")?;
-        let moments = first.into_iter().zip(second).map(|(first, second)| [first, second]);
-        adam.restore(&moments.collect::<Vec<_>>(), self.adam_updates);
+        target.set(&learning.of(target, "target.")?);
+        let moment = |name| learning.find(name, policy.learned());
+        adam.restore(&[moment(FIRST)?, moment(SECOND)?], self.adam_updates);
         Ok(())
     }
 }
@@ -240,23 +286,49 @@ impl Tensors {
         Ok(Self { path: path.to_owned(), tensors })
     }
 
+    /// The tensor of a name, which has the shape of another.
+    fn find(&self, name: &str, like: &Tensor) -> Result<Tensor, CheckpointError> {
+        let found = self.tensors.iter().find(|(found, _)| found == name);
+        let (_, found) = found.ok_or_else(|| invalid(&self.path, &format!("no {name}")))?;
+        if found.size() == like.size() && found.kind() == like.kind() {
+            return Ok(found.shallow_clone());
+        }
+        let (found, expected) = (found.size(), like.size());
+        Err(invalid(&self.path, &format!("{name} is {found:?}, expected {expected:?}")))
+    }
+
     /// The tensors of a network's parameters, in their order.
     fn of(&self, network: &QNetwork, prefix: &str) -> Result<Vec<Tensor>, CheckpointError> {
-        let find = |(name, parameter): (&str, &Tensor)| {
-            let name = format!("{prefix}{name}");
-            let found = self.tensors.iter().find(|(found, _)| *found == name);
-            let (_, found) = found.ok_or_else(|| invalid(&self.path, &format!("no {name}")))?;
-            if found.size() == parameter.size() && found.kind() == parameter.kind() {
-                return Ok(found.shallow_clone());
-            }
-            let (found, expected) = (found.size(), parameter.size());
-            Err(invalid(&self.path, &format!("{name} is {found:?}, expected {expected:?}")))
-        };
+        let find = |(name, like): (&str, Tensor)| self.find(&format!("{prefix}{name}"), &like);
         network.named().map(find).collect()
     }
 }
 
-/// The policy of a checkpoint, and how it was trained.
+/// Writes tensors, whatever device they are on.
+pub(super) fn write_tensors(
+    path: &Path,
+    tensors: &[(String, Tensor)],
+) -> Result<(), CheckpointError> {
+    let tensors: Vec<(&str, Tensor)> =
+        tensors.iter().map(|(name, one)| (&**name, one.to_device(Device::Cpu))).collect();
+    Tensor::write_safetensors(&tensors, path).map_err(|error| invalid(path, &error))
+}
+
+/// How a policy was trained: that of a checkpoint, or one that was exported.
+fn trained(directory: &Path) -> Result<TrainConfig, CheckpointError> {
+    if directory.join(STATE).exists() || !directory.join(MANIFEST).exists() {
+        return Ok(Checkpoint::read(directory)?.train);
+    }
+    let (PolicyManifest { train, weights_sha256, .. }, _) =
+        load::<PolicyManifest>(directory, "export-policy", PolicyManifest::SCHEMA)?;
+    let path = directory.join(WEIGHTS);
+    if sha256_file(&path)?.sha256 != weights_sha256 {
+        return Err(invalid(&path, &"it is not the file that the manifest tells of"));
+    }
+    Ok(train)
+}
+
+/// The policy of a checkpoint or an exported one, and how it was trained.
 ///
 /// # Errors
 /// [`CheckpointError`] if the checkpoint cannot be read, or does not fit maps of `cells` × `cells` and
@@ -267,10 +339,9 @@ pub fn load_weights(
     config: &RlConfig,
     device: Device,
 ) -> Result<(TrainConfig, QNetwork), CheckpointError> {
-    let Checkpoint { train, .. } = Checkpoint::read(directory)?;
+    let train = trained(directory)?;
     let mut network = QNetwork::new(cells, config.reach_cells, &train, device)?;
     let weights = Tensors::read(&directory.join(WEIGHTS))?;
-    let weights = weights.of(&network, "")?;
-    network.copy_from(&weights);
+    network.set(&weights.of(&network, "")?);
     Ok((train, network))
 }

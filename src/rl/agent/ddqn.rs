@@ -3,10 +3,10 @@
 use tch::{Kind, Reduction, Tensor};
 
 use super::batch::Batch;
-use super::network::QNetwork;
+use super::network::{QNetwork, best};
 use crate::config::{Loss, TrainConfig};
 
-/// The parts of a loss, for the log.
+/// The parts of a loss.
 #[derive(Debug)]
 pub struct LossParts {
     /// What is minimised.
@@ -15,25 +15,24 @@ pub struct LossParts {
     pub q: Tensor,
     /// Mean squared error of the predicted rewards, if there is a head for them.
     pub reward: Option<Tensor>,
+    /// By how much each transition's Q-value was wrong, `[batch]`, without gradient.
+    pub errors: Tensor,
 }
 
-/// `eq:discounted_reward`: `y = r + γ Q_target(h', argmax_a' Q_policy(h', a'))`, where a state that
-/// ends an episode has no value: `[batch]`, without gradient. `q_policy` and `q_target` are
-/// the values of all actions in the next states, `[batch, actions]`; actions outside of
-/// `allowed` (0 or 1, the same shape) are not chosen.
+/// `eq:discounted_reward`: `y = r + γ Q_target(h', argmax_a' Q_policy(h', a'))`: `[batch]`, without
+/// gradient. `discount` is γ, its n-th power if `reward` adds up n steps, or 0 where a hole ended
+/// the episode, since such a state has no value. `q_policy` and `q_target` are the values of all
+/// actions in the next states, `[batch, actions]`; actions outside of `allowed` (0 or 1, the same
+/// shape) are not chosen.
 pub fn target(
     reward: &Tensor,
-    terminal: &Tensor,
+    discount: &Tensor,
     q_policy: &Tensor,
     q_target: &Tensor,
     allowed: Option<&Tensor>,
-    discount: f64,
 ) -> Tensor {
-    let masked = allowed.map(|allowed| q_policy.masked_fill(&allowed.eq(0.0), f64::NEG_INFINITY));
-    let best = masked.as_ref().unwrap_or(q_policy).argmax(1, true);
-    let value = q_target.gather(1, &best, false).squeeze_dim(1);
-    let continues: Tensor = 1.0 - terminal;
-    (reward + continues * discount * value).detach()
+    let value = q_target.gather(1, &best(q_policy, allowed, true), false).squeeze_dim(1);
+    (reward + discount * value).detach()
 }
 
 fn error(found: &Tensor, wanted: &Tensor, loss: Loss) -> Tensor {
@@ -45,31 +44,41 @@ fn error(found: &Tensor, wanted: &Tensor, loss: Loss) -> Tensor {
 
 /// `L = L_1 + α r²`, `eqn:final_loss`, and what is added beyond the paper: the errors of Q-values of
 /// all actions that end the episode (they are 0, whatever the network thinks), and of the
-/// predicted rewards of all actions.
+/// predicted rewards of all actions. `weights`, `[batch]`, are those of prioritised replay.
 #[must_use]
 pub fn loss(
     policy: &QNetwork,
     target_network: &QNetwork,
     batch: &Batch,
+    weights: Option<&Tensor>,
     config: &TrainConfig,
 ) -> LossParts {
     let wanted = tch::no_grad(|| {
-        let (q_policy, _) = policy.forward(&batch.next_map, &batch.next_window);
-        let (q_target, _) = target_network.forward(&batch.next_map, &batch.next_window);
+        let next = policy.inputs(&batch.next_map, &batch.next_window);
+        let (q_policy, _) = policy.forward(&next);
+        let (q_target, _) = target_network.forward(&next);
         let allowed = config.mask_actions.then_some(&batch.next_permissible);
-        target(&batch.reward, &batch.terminal, &q_policy, &q_target, allowed, config.discount)
+        target(&batch.reward, &batch.discount, &q_policy, &q_target, allowed)
     });
-    let (q_values, rewards) = policy.forward(&batch.map, &batch.window);
+    let (q_values, rewards) = policy.forward(&policy.inputs(&batch.map, &batch.window));
     let taken = q_values.gather(1, &batch.action.unsqueeze(1), false).squeeze_dim(1);
-    let q = error(&taken, &wanted, config.loss).mean(Kind::Float);
-    let mut total = &q + config.squared_reward * batch.reward.square().mean(Kind::Float);
-    if config.dense_terminal {
-        let errors = error(&q_values, &q_values.zeros_like(), config.loss) * &batch.all_terminal;
-        total += errors.sum(Kind::Float) / batch.all_terminal.sum(Kind::Float).clamp_min(1.0);
+    let errors = error(&taken, &wanted, config.loss);
+    let q = match weights {
+        Some(weights) => (errors * weights).mean(Kind::Float),
+        None => errors.mean(Kind::Float),
+    };
+    let mut total = q.shallow_clone();
+    if config.squared_reward > 0.0 {
+        total = total + config.squared_reward * batch.reward.square().mean(Kind::Float);
     }
-    let reward = rewards.map(|found| found.mse_loss(&batch.all_rewards, Reduction::Mean));
+    if let Some(ends) = batch.all_terminal.as_ref().filter(|_| config.dense_terminal) {
+        let errors = error(&q_values, &q_values.zeros_like(), config.loss) * ends;
+        total = total + errors.sum(Kind::Float) / ends.sum(Kind::Float).clamp_min(1.0);
+    }
+    let reward = batch.all_rewards.as_ref().zip(rewards);
+    let reward = reward.map(|(wanted, found)| found.mse_loss(wanted, Reduction::Mean));
     if let Some(reward) = &reward {
-        total += config.reward_prediction * reward;
+        total = total + config.reward_prediction * reward;
     }
-    LossParts { total, q, reward }
+    LossParts { total, q, reward, errors: (taken - wanted).detach() }
 }

@@ -4,11 +4,13 @@
 //! of 3×3 with stride 2 (121 → 61 → 31 → 16 → 31); `I_B` (3 × 31 × 31) through two of 3×3. Both are
 //! joined and go through two transposed convolutions of 3×3. All but the last end in a
 //! rectifier. A second channel of the last layer predicts the rewards of all actions, if there is such
-//! a head.
+//! a head. In a dueling network (Wang et al., 2016) the first channel holds advantages, and the
+//! value of the state is linear in the means of the joined features.
 
 use tch::{Device, Kind, Tensor};
 
-use crate::config::{Precision, TrainConfig};
+use super::device::{Computing, upload};
+use crate::config::TrainConfig;
 use crate::rl::Random;
 
 const WEIGHTS: u64 = 11;
@@ -45,10 +47,13 @@ impl Layer {
         }
     }
 
-    fn apply(&self, input: &Tensor, [weight, bias]: &[Tensor; 2]) -> Tensor {
+    fn apply(&self, input: &Tensor, [weight, bias]: [&Tensor; 2]) -> Tensor {
         let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
         if self.transposed {
-            input.conv_transpose2d(weight, Some(bias), stride, padding, [0, 0], 1, [1, 1])
+            // oneDNN is ten times slower if it is to add the bias to numbers of 16 bits itself.
+            let none = None::<Tensor>;
+            let out = input.conv_transpose2d(weight, none, stride, padding, [0, 0], 1, [1, 1]);
+            out + bias.view([-1, 1, 1])
         } else {
             input.conv2d(weight, Some(bias), stride, padding, [1, 1], 1)
         }
@@ -77,37 +82,48 @@ impl crate::error::HasFault for ShapeError {
     }
 }
 
-/// What a network computes with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Computing {
-    /// `Float` or `BFloat16`.
-    pub kind: Kind,
+/// A parameter: its name and shape.
+#[derive(Debug, Clone)]
+struct Parameter {
+    name: String,
+    shape: Vec<i64>,
 }
 
-impl Computing {
-    /// The kind of numbers that a configuration asks for on this machine.
-    #[must_use]
-    pub fn new(precision: Precision) -> Self {
-        #[cfg(target_arch = "x86_64")]
-        let native = std::arch::is_x86_feature_detected!("avx512bf16");
-        #[cfg(not(target_arch = "x86_64"))]
-        let native = false;
-        let kind = match precision {
-            Precision::Bfloat16 => Kind::BFloat16,
-            Precision::Auto if native => Kind::BFloat16,
-            _ => Kind::Float,
-        };
-        Self { kind }
+impl Parameter {
+    fn count(&self) -> i64 {
+        self.shape.iter().product()
     }
 }
 
-/// A Q-network. Its parameters are `float32`, whatever it computes with.
+/// `I_A` and `I_B` of a batch of states, in the numbers and the order that a network computes with.
+#[derive(Debug)]
+pub struct Inputs {
+    map: Tensor,
+    window: Tensor,
+}
+
+/// A Q-network.
+///
+/// What is learned are `float32` numbers, all parameters in a row; a pass computes with them or
+/// with a copy of 16 bits, which is renewed when they change.
 #[derive(Debug)]
 pub struct QNetwork {
-    names: Vec<String>,
-    parameters: Vec<Tensor>,
+    parameters: Vec<Parameter>,
+    learned: Tensor,
+    /// The copy, if there is one.
+    rounded: Option<Tensor>,
+    /// Views of the one or the other, which gradients are of.
+    working: Vec<Tensor>,
     computing: Computing,
     has_reward_head: bool,
+    is_dueling: bool,
+}
+
+/// The parts of a row of numbers, as tensors that share its memory.
+fn views(parameters: &[Parameter], row: &Tensor) -> Vec<Tensor> {
+    let counts: Vec<i64> = parameters.iter().map(Parameter::count).collect();
+    let parts = row.split_with_sizes(&counts[..], 0).into_iter();
+    parts.zip(parameters).map(|(part, parameter)| part.view(&parameter.shape[..])).collect()
 }
 
 impl QNetwork {
@@ -132,95 +148,169 @@ impl QNetwork {
         let outputs = if has_reward_head { 2 } else { 1 };
         let widths = [(3, a), (a, b), (b, c), (c, d), (3, e), (e, f), (d + f, g), (g, outputs)];
         let mut random = Random::keyed(&[config.seed, WEIGHTS]);
-        let (mut names, mut parameters) = (Vec::new(), Vec::new());
-        for (layer, (from, to)) in MAP.iter().chain(&WINDOW).chain(&HEAD).zip(widths) {
-            let shape = if layer.transposed { [from, to] } else { [to, from] };
-            let shape = [shape[0], shape[1], layer.kernel, layer.kernel];
-            // PyTorch takes the second dimension for the fan-in of both kinds of layers.
-            let bound = 1.0 / ((shape[1] * layer.kernel * layer.kernel) as f64).sqrt();
-            for (part, shape) in [("weight", &shape[..]), ("bias", &[to])] {
-                let count = shape.iter().product::<i64>();
-                let values: Vec<f32> =
-                    (0..count).map(|_| (bound * (2.0 * random.unit() - 1.0)) as f32).collect();
-                names.push(format!("{}.{part}", layer.name));
-                let values = Tensor::from_slice(&values).reshape(shape).to_device(device);
-                parameters.push(values.set_requires_grad(true));
+        let (mut parameters, mut values) = (Vec::new(), Vec::new());
+        let mut pair = |name: &str, weight: &[i64], outputs: i64| {
+            // PyTorch takes the second dimension for the fan-in of all kinds of layers.
+            let bound = 1.0 / (weight[1..].iter().product::<i64>() as f64).sqrt();
+            for (part, shape) in [("weight", weight), ("bias", &[outputs])] {
+                let parameter = Parameter { name: format!("{name}.{part}"), shape: shape.to_vec() };
+                let uniform = |_| (bound * (2.0 * random.unit() - 1.0)) as f32;
+                values.extend((0..parameter.count()).map(uniform));
+                parameters.push(parameter);
             }
+        };
+        for (layer, (from, to)) in MAP.iter().chain(&WINDOW).chain(&HEAD).zip(widths) {
+            let [first, second] = if layer.transposed { [from, to] } else { [to, from] };
+            pair(layer.name, &[first, second, layer.kernel, layer.kernel], to);
         }
-        let computing = Computing::new(config.precision);
-        Ok(Self { names, parameters, computing, has_reward_head })
+        if config.dueling {
+            pair("value", &[1, g], 1);
+        }
+        let computing = Computing::new(config.precision, device);
+        let learned = upload(&values, device);
+        Ok(Self::of(parameters, learned, computing, [has_reward_head, config.dueling]))
     }
 
-    /// The parameters by name, in the order of the layers.
-    pub fn named(&self) -> impl Iterator<Item = (&str, &Tensor)> {
-        self.names.iter().map(String::as_str).zip(&self.parameters)
+    fn of(
+        parameters: Vec<Parameter>,
+        learned: Tensor,
+        computing: Computing,
+        [has_reward_head, is_dueling]: [bool; 2],
+    ) -> Self {
+        let rounded = (computing.kind != Kind::Float).then(|| learned.to_kind(computing.kind));
+        let working = views(&parameters, rounded.as_ref().unwrap_or(&learned));
+        let working =
+            working.into_iter().map(|view| view.detach().set_requires_grad(true)).collect();
+        Self { parameters, learned, rounded, working, computing, has_reward_head, is_dueling }
     }
 
-    /// The parameters.
-    pub fn parameters(&self) -> &[Tensor] {
-        &self.parameters
+    /// The parameters by name, in the order of the layers: `float32`.
+    pub fn named(&self) -> impl Iterator<Item = (&str, Tensor)> {
+        let names = self.parameters.iter().map(|parameter| &*parameter.name);
+        names.zip(views(&self.parameters, &self.learned))
     }
 
-    pub(super) fn parameters_mut(&mut self) -> &mut [Tensor] {
-        &mut self.parameters
+    /// All parameters in a row.
+    pub(super) fn learned(&self) -> &Tensor {
+        &self.learned
+    }
+
+    /// What gradients are of, in the order of [`QNetwork::named`].
+    pub fn leaves(&self) -> &[Tensor] {
+        &self.working
+    }
+
+    /// The device that it computes on.
+    #[must_use]
+    pub fn device(&self) -> Device {
+        self.learned.device()
+    }
+
+    /// What it computes with.
+    #[must_use]
+    pub fn computing(&self) -> Computing {
+        self.computing
     }
 
     /// Number of parameters.
     #[must_use]
     pub fn size(&self) -> usize {
-        self.parameters.iter().map(Tensor::numel).sum()
+        self.learned.numel()
     }
 
     /// A copy that does not change with this one.
     #[must_use]
     pub fn duplicate(&self) -> Self {
-        Self {
-            names: self.names.clone(),
-            parameters: self.parameters.iter().map(|one| one.detach().copy()).collect(),
-            computing: self.computing,
-            has_reward_head: self.has_reward_head,
-        }
+        let heads = [self.has_reward_head, self.is_dueling];
+        Self::of(self.parameters.clone(), self.learned.copy(), self.computing, heads)
     }
 
-    /// Takes over the weights of a network of the same shape.
-    ///
-    /// # Panics
-    /// If the shapes differ.
-    pub fn copy_from(&mut self, parameters: &[Tensor]) {
+    /// Changes what is learned; a pass computes with it from then on.
+    pub(super) fn change(&mut self, change: impl FnOnce(&mut Tensor)) {
         tch::no_grad(|| {
-            for (own, other) in self.parameters.iter_mut().zip(parameters) {
-                own.copy_(other);
+            change(&mut self.learned);
+            if let Some(rounded) = &mut self.rounded {
+                rounded.copy_(&self.learned);
             }
         });
     }
 
-    /// Q-values of all actions, `[batch, (2l + 1)²]`, and the predicted rewards if there is a head
-    /// for them. `map` is `[batch, 3, L, L]`, `window` `[batch, 3, 2l + 1, 2l + 1]`.
-    pub fn forward(&self, map: &Tensor, window: &Tensor) -> (Tensor, Option<Tensor>) {
-        // Convolutions of 16 bits are fast in the order rows, columns, channels.
-        let prepared = |input: &Tensor| match self.computing.kind {
-            Kind::Float => input.shallow_clone(),
-            kind => input.to_kind(kind).permute([0, 2, 3, 1]).contiguous().permute([0, 3, 1, 2]),
-        };
-        let parameters: Vec<[Tensor; 2]> = self
-            .parameters
-            .chunks_exact(2)
-            .map(|pair| {
-                [pair[0].to_kind(self.computing.kind), pair[1].to_kind(self.computing.kind)]
-            })
-            .collect();
-        let (of_map, rest) = parameters.split_at(MAP.len());
-        let (of_window, of_head) = rest.split_at(WINDOW.len());
-        let through = |input: Tensor, layers: &[Layer], parameters: &[[Tensor; 2]]| {
-            let layers = layers.iter().zip(parameters);
-            layers.fold(input, |input, (layer, parameters)| layer.apply(&input, parameters).relu())
-        };
-        let map = through(prepared(map), &MAP, of_map);
-        let window = through(prepared(window), &WINDOW, of_window);
-        let joined = Tensor::cat(&[map, window], 1);
-        let hidden = HEAD[0].apply(&joined, &of_head[0]).relu();
-        let out = HEAD[1].apply(&hidden, &of_head[1]).to_kind(Kind::Float).contiguous();
-        let channel = |at| out.select(1, at).flatten(1, 2);
-        (channel(0), self.has_reward_head.then(|| channel(1)))
+    /// Takes over a share of the weights of a network of the same shape: all of them, or fewer
+    /// (Polyak averaging).
+    ///
+    /// # Panics
+    /// If the shapes differ.
+    pub fn approach(&mut self, other: &Self, share: f64) {
+        self.change(|learned| {
+            if share < 1.0 {
+                let _ = learned.lerp_(&other.learned, share);
+            } else {
+                learned.copy_(&other.learned);
+            }
+        });
     }
+
+    /// Takes over weights in the order of [`QNetwork::named`].
+    ///
+    /// # Panics
+    /// If the shapes differ.
+    pub(super) fn set(&mut self, tensors: &[Tensor]) {
+        let row: Vec<Tensor> = tensors.iter().map(|tensor| tensor.flatten(0, -1)).collect();
+        self.change(|learned| learned.copy_(&Tensor::cat(&row, 0)));
+    }
+
+    /// Prepares a batch: `map` is `[batch, 3, L, L]`, `window` `[batch, 3, 2l + 1, 2l + 1]`.
+    #[must_use]
+    pub fn inputs(&self, map: &Tensor, window: &Tensor) -> Inputs {
+        // Convolutions of 16 bits are fast in the order rows, columns, channels.
+        let prepare = |input: &Tensor| match self.computing.kind {
+            Kind::Float => input.shallow_clone(),
+            kind => input.permute([0, 2, 3, 1]).to_kind(kind).contiguous().permute([0, 3, 1, 2]),
+        };
+        Inputs { map: prepare(map), window: prepare(window) }
+    }
+
+    /// Q-values of all actions, `[batch, (2l + 1)²]`, and the predicted rewards if there is a head
+    /// for them; `float32`.
+    pub fn forward(&self, inputs: &Inputs) -> (Tensor, Option<Tensor>) {
+        let parameters: Vec<[&Tensor; 2]> =
+            self.working.chunks_exact(2).map(|pair| [&pair[0], &pair[1]]).collect();
+        let (of_map, rest) = parameters.split_at(MAP.len());
+        let (of_window, rest) = rest.split_at(WINDOW.len());
+        let (of_head, of_value) = rest.split_at(HEAD.len());
+        let through = |input: &Tensor, layers: &[Layer], parameters: &[[&Tensor; 2]]| {
+            let layers = layers.iter().zip(parameters);
+            layers.fold(input.shallow_clone(), |input, (layer, &parameters)| {
+                layer.apply(&input, parameters).relu_()
+            })
+        };
+        let map = through(&inputs.map, &MAP, of_map);
+        let window = through(&inputs.window, &WINDOW, of_window);
+        let hidden = through(&Tensor::cat(&[map, window], 1), &HEAD[..1], &of_head[..1]);
+        let out = HEAD[1].apply(&hidden, of_head[1]).to_kind(Kind::Float);
+        let channel = |at| out.select(1, at).flatten(1, 2);
+        let q_values = match of_value {
+            [[weight, bias]] => {
+                let means = hidden.mean_dim(&[2_i64, 3][..], false, None);
+                let value = means.linear(weight, Some(*bias)).to_kind(Kind::Float);
+                let advantages = channel(0);
+                let mean = advantages.mean_dim(1, true, None);
+                advantages - mean + value
+            }
+            _ => channel(0),
+        };
+        (q_values, self.has_reward_head.then(|| channel(1)))
+    }
+
+    /// The first of the allowed actions with the greatest Q-value, for each state: `[batch]`.
+    /// Actions where `allowed`, `[batch, actions]`, is 0 are left out.
+    pub fn best_actions(&self, inputs: &Inputs, allowed: Option<&Tensor>) -> Tensor {
+        tch::no_grad(|| best(&self.forward(inputs).0, allowed, false))
+    }
+}
+
+/// The actions with the greatest values, of the allowed ones if only some are.
+pub(super) fn best(q_values: &Tensor, allowed: Option<&Tensor>, keep_dim: bool) -> Tensor {
+    let masked = allowed.map(|allowed| q_values.masked_fill(&allowed.eq(0.0), f64::NEG_INFINITY));
+    masked.as_ref().unwrap_or(q_values).argmax(1, keep_dim)
 }

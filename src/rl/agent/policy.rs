@@ -1,17 +1,16 @@
 //! A trained network as a policy.
 
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 
 use tch::Device;
 
-use super::batch::Batcher;
+use super::batch::{encode_views, flags};
 use super::checkpoint::{CheckpointError, load_weights};
 use super::network::QNetwork;
-use super::trainer::best;
-use crate::config::{RlConfig, TrainConfig};
+use crate::config::RlConfig;
 use crate::rl::policy::{MakePolicy, Policy, View};
-use crate::rl::{Sight, World};
+use crate::rl::{Encoder, World};
 
 /// States that go through the network at a time.
 const CHUNK: usize = 128;
@@ -21,15 +20,17 @@ const CHUNK: usize = 128;
 pub struct Agent {
     /// One prediction at a time: libtorch uses all cores for each.
     network: Mutex<QNetwork>,
-    config: RlConfig,
+    device: Device,
+    encoder: Encoder,
     mask_actions: bool,
 }
 
 impl Agent {
-    /// A network as it is.
+    /// A network as it is, for maps of `cells` × `cells`.
     #[must_use]
-    pub fn new(network: QNetwork, config: &RlConfig, mask_actions: bool) -> Self {
-        Self { network: Mutex::new(network), config: config.clone(), mask_actions }
+    pub fn new(network: QNetwork, cells: usize, config: &RlConfig, mask_actions: bool) -> Self {
+        let (device, encoder) = (network.device(), Encoder::new(cells, config));
+        Self { network: Mutex::new(network), device, encoder, mask_actions }
     }
 
     /// The weights of a checkpoint, for maps of `cells` × `cells`.
@@ -40,53 +41,43 @@ impl Agent {
         checkpoint: &Path,
         cells: usize,
         config: &RlConfig,
+        device: Device,
     ) -> Result<Self, CheckpointError> {
-        let (train, network) = load_weights(checkpoint, cells, config, Device::Cpu)?;
-        let TrainConfig { mask_actions, .. } = train;
-        Ok(Self::new(network, config, mask_actions))
+        let (train, network) = load_weights(checkpoint, cells, config, device)?;
+        Ok(Self::new(network, cells, config, train.mask_actions))
+    }
+
+    /// `eqn:predicted_location`: the action of the greatest Q-value, of the permissible ones if
+    /// the network was trained so.
+    fn waypoints(&self, views: &[View<'_, '_>]) -> Vec<[f64; 2]> {
+        let [map, window] = encode_views(&self.encoder, views, self.device);
+        let actions = self.encoder.actions();
+        let sets: Vec<_> = views.iter().map(View::permissible).collect();
+        let sets = sets.iter().map(AsRef::as_ref);
+        let allowed = self.mask_actions.then(|| flags(sets, actions.count(), self.device));
+        let best = {
+            let network = self.network.lock().expect("no prediction panics");
+            network.best_actions(&network.inputs(&map, &window), allowed.as_ref())
+        };
+        let best = Vec::<i64>::try_from(&best).expect("an action for each");
+        let pairs = views.iter().zip(best);
+        pairs
+            .map(|(view, at)| (view.flight.cell() + actions.offset(at as usize)).center())
+            .collect()
     }
 }
 
 impl MakePolicy for Agent {
-    fn policy<'a>(&'a self, known: &World) -> Box<dyn Policy + 'a> {
-        let maps = [Arc::new(known.clone())];
-        let batcher = Batcher::new(&maps, &self.config, Device::Cpu);
-        let sight = Sight::new(self.config.reach_cells);
-        Box::new(OnMap { agent: self, batcher, sight })
+    fn policy<'a>(&'a self, _: &World) -> Box<dyn Policy + 'a> {
+        Box::new(Flown(self))
     }
 }
 
 /// An agent on one map.
-struct OnMap<'a> {
-    agent: &'a Agent,
-    batcher: Batcher,
-    sight: Sight,
-}
+struct Flown<'a>(&'a Agent);
 
-impl Policy for OnMap<'_> {
+impl Policy for Flown<'_> {
     fn predict(&self, views: &mut [View<'_, '_>]) -> Vec<[f64; 2]> {
-        views.chunks(CHUNK).flat_map(|views| self.predict_chunk(views)).collect()
-    }
-}
-
-impl OnMap<'_> {
-    /// `eqn:predicted_location`: the action of the greatest Q-value, of the permissible ones if
-    /// the network was trained so.
-    fn predict_chunk(&self, views: &[View<'_, '_>]) -> Vec<[f64; 2]> {
-        let [map, window] = self.batcher.measured_states(views);
-        let q_values = tch::no_grad(|| {
-            let network = self.agent.network.lock().expect("no prediction panics");
-            network.forward(&map, &window).0
-        });
-        let count = self.sight.actions().count();
-        let mut values = vec![0.0_f32; views.len() * count];
-        q_values.copy_data(&mut values, views.len() * count);
-        let waypoint = |(view, values): (&View<'_, '_>, &[f32])| {
-            let permissible = view.permissible();
-            let mask = self.agent.mask_actions;
-            let action = best(values, |action| !mask || permissible.contains(action));
-            (view.flight.cell() + self.sight.actions().offset(action)).center()
-        };
-        views.iter().zip(values.chunks_exact(count)).map(waypoint).collect()
+        views.chunks(CHUNK).flat_map(|views| self.0.waypoints(views)).collect()
     }
 }

@@ -1,24 +1,29 @@
 //! A run: a directory with checkpoints, the best policy and a log, which goes on where it was.
 //!
 //! `RUN/checkpoints/000001000` are the last checkpoints, `RUN/best` the one with the best score on
-//! the validation split, `RUN/log.jsonl` a line for every hundred updates and every validation.
+//! the validation split, `RUN/log.jsonl` a line for every hundred updates and every validation;
+//! `RUN/events.out.tfevents.*` are the same for `TensorBoard`.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use super::checkpoint::{CheckpointError, TEMPORARY};
+use super::checkpoint::TEMPORARY;
+use super::events::Events;
 use super::network::QNetwork;
-use super::trainer::{Progress, TrainError, TrainJob, Trainer};
+use super::report::TrainReport;
+use super::trainer::{TrainError, TrainJob, Trainer};
 use crate::error::{Fault, FileError, HasFault};
+use crate::rl::MapPool;
 use crate::store::write_atomic;
 
 /// Checkpoints that are kept beside the best.
 const KEPT: usize = 3;
-/// Updates that a line of the log sums up.
-const LOGGED: u64 = 100;
+/// Updates that a report sums up.
+const REPORTED: u64 = 100;
 const LOCK: &str = ".holescout-lock";
 const CHECKPOINTS: &str = "checkpoints";
 
@@ -29,9 +34,6 @@ pub enum SessionError {
     /// Training failed.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// A checkpoint cannot be written.
-    #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
     /// A file of the run cannot be read or written.
     #[error(transparent)]
     File(#[from] FileError),
@@ -47,11 +49,19 @@ impl HasFault for SessionError {
     fn fault(&self) -> Fault {
         match self {
             Self::Train(error) => error.fault(),
-            Self::Checkpoint(error) => error.fault(),
             Self::File(error) => error.fault(),
             Self::Busy { .. } => Fault::Input,
         }
     }
+}
+
+/// How fast training went since the last report. Unlike all else it is never the same twice.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pace {
+    /// Transitions learned from in a second, all else that training does included.
+    pub samples_per_s: f64,
+    /// Share of the time that it waited for maps.
+    pub waiting: f64,
 }
 
 /// Who watches a run.
@@ -59,7 +69,9 @@ pub trait Watch {
     /// The run begins, at an update after zero if it goes on from a checkpoint.
     fn begins(&mut self, trainer: &Trainer<'_>);
     /// An update was made.
-    fn updated(&mut self, progress: &Progress);
+    fn updated(&mut self);
+    /// How it went over the last updates.
+    fn reported(&mut self, report: &TrainReport, pace: Pace);
     /// Precision on the validation split after 1, 2, 4 ... steps.
     fn judge(&mut self, network: &QNetwork) -> Vec<(u32, f64)>;
     /// Whether to save and stop.
@@ -71,18 +83,23 @@ pub trait Watch {
 pub struct Ended {
     /// Updates done.
     pub updates: u64,
-    /// Whether all were done, or it was stopped.
+    /// Whether all were done or scores no longer rose, or it was stopped.
     pub complete: bool,
     /// Best score on the validation split, and the update that had it.
     pub best: Option<(f64, u64)>,
 }
 
-/// Trains in a directory, from its last checkpoint if there is one, until all updates are done or the
-/// watch says stop.
+/// Trains in a directory, from its last checkpoint if there is one, until all updates are done, scores
+/// no longer rise or the watch says stop.
 ///
 /// # Errors
 /// [`SessionError`]; what the last checkpoint holds is not lost.
-pub fn train(job: TrainJob<'_>, run: &Path, watch: &mut dyn Watch) -> Result<Ended, SessionError> {
+pub fn train(
+    job: TrainJob<'_>,
+    pool: MapPool,
+    run: &Path,
+    watch: &mut dyn Watch,
+) -> Result<Ended, SessionError> {
     std::fs::create_dir_all(run).map_err(FileError::new("create", run))?;
     let lock = File::create(run.join(LOCK)).map_err(FileError::new("create", run))?;
     if lock.try_lock().is_err() {
@@ -91,42 +108,81 @@ pub fn train(job: TrainJob<'_>, run: &Path, watch: &mut dyn Watch) -> Result<End
     remove_leftovers(run)?;
     remove_leftovers(&run.join(CHECKPOINTS))?;
     let mut trainer = match checkpoints(run)?.last() {
-        Some(last) => Trainer::resume(job, last)?,
-        None => Trainer::new(job)?,
+        Some(last) => Trainer::resume(job, pool, last)?,
+        None => Trainer::new(job, pool)?,
     };
-    let mut log = Log::open(run, trainer.updates())?;
     watch.begins(&trainer);
     let config = job.train;
-    while trainer.updates() < config.updates {
+    let mut log = Log::open(run, trainer.updates())?;
+    let mut clock = Clock::start(&trainer);
+    while !trainer.is_done() {
         if watch.stop() {
             save(&trainer, run)?;
-            return Ok(ended(&trainer, config.updates));
+            return Ok(ended(&trainer));
         }
-        let progress = trainer.update()?;
-        watch.updated(&progress);
-        log.add(&progress)?;
+        trainer.update()?;
+        watch.updated();
         let done = trainer.updates();
         let is_due = |every: u64| done.is_multiple_of(every) || done == config.updates;
+        if is_due(REPORTED) {
+            let report = trainer.report()?;
+            let pace = clock.pace(&trainer, config.batch);
+            watch.reported(&report, pace);
+            log.reported(&report, pace)?;
+        }
         if is_due(config.evaluate_every) {
+            clock.pause();
             let scores = watch.judge(trainer.policy());
             log.judged(done, &scores)?;
             let score = scores.iter().map(|(_, precision)| precision).sum::<f64>()
                 / scores.len().max(1) as f64;
-            if trainer.best.is_none_or(|(best, _)| score > best) {
-                trainer.best = Some((score, done));
+            if trainer.judged(score) {
                 trainer.save(&run.join("best"))?;
             }
+            clock.go_on();
         }
-        if is_due(config.checkpoint_every) {
+        if is_due(config.checkpoint_every) || trainer.is_done() {
             save(&trainer, run)?;
         }
     }
-    Ok(ended(&trainer, config.updates))
+    Ok(ended(&trainer))
 }
 
-fn ended(trainer: &Trainer<'_>, updates: u64) -> Ended {
-    let complete = trainer.updates() >= updates;
-    Ended { updates: trainer.updates(), complete, best: trainer.best }
+fn ended(trainer: &Trainer<'_>) -> Ended {
+    Ended { updates: trainer.updates(), complete: trainer.is_done(), best: trainer.best() }
+}
+
+/// Times training, without judgements.
+struct Clock {
+    since: Instant,
+    trained: Duration,
+    updates: u64,
+    waited: Duration,
+}
+
+impl Clock {
+    fn start(trainer: &Trainer<'_>) -> Self {
+        let (updates, waited) = (trainer.updates(), trainer.pool().waited());
+        Self { since: Instant::now(), trained: Duration::ZERO, updates, waited }
+    }
+
+    fn pause(&mut self) {
+        self.trained += self.since.elapsed();
+    }
+
+    fn go_on(&mut self) {
+        self.since = Instant::now();
+    }
+
+    /// The pace since it was asked for last.
+    fn pace(&mut self, trainer: &Trainer<'_>, batch: u32) -> Pace {
+        self.pause();
+        let seconds = self.trained.as_secs_f64();
+        let samples = (trainer.updates() - self.updates) as f64 * f64::from(batch);
+        let waiting = trainer.pool().waited().saturating_sub(self.waited).as_secs_f64() / seconds;
+        *self = Self::start(trainer);
+        Pace { samples_per_s: samples / seconds, waiting }
+    }
 }
 
 /// Writes a checkpoint, then removes the oldest.
@@ -167,11 +223,12 @@ fn checkpoints(run: &Path) -> Result<Vec<PathBuf>, FileError> {
     Ok(paths)
 }
 
-/// `log.jsonl`: what happened up to the checkpoint that a run goes on from is kept.
+/// `log.jsonl`, of which what happened up to the checkpoint that a run goes on from is kept, and an
+/// event file.
 struct Log {
     path: PathBuf,
     file: File,
-    since: Vec<Progress>,
+    events: Events,
 }
 
 impl Log {
@@ -186,7 +243,7 @@ impl Log {
         write_atomic(&path, kept.as_bytes())?;
         let file = OpenOptions::new().append(true).open(&path);
         let file = file.map_err(FileError::new("open", &path))?;
-        Ok(Self { path, file, since: Vec::new() })
+        Ok(Self { path, file, events: Events::create(run, updates)? })
     }
 
     fn line(&mut self, line: &Value) -> Result<(), FileError> {
@@ -194,30 +251,22 @@ impl Log {
         written.map_err(FileError::new("write", &self.path))
     }
 
-    /// Means over the updates since the last line.
-    fn add(&mut self, progress: &Progress) -> Result<(), FileError> {
-        self.since.push(*progress);
-        if !progress.update.is_multiple_of(LOGGED) {
-            return Ok(());
-        }
-        let since = std::mem::take(&mut self.since);
-        let mean = |value: fn(&Progress) -> Option<f64>| {
-            let values: Vec<f64> = since.iter().filter_map(value).collect();
-            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-        };
-        self.line(&json!({
-            "update": progress.update,
-            "steps": progress.steps,
-            "loss": mean(|p| Some(p.loss)),
-            "q_loss": mean(|p| Some(p.q_loss)),
-            "reward_loss": mean(|p| p.reward_loss),
-            "gradient_norm": mean(|p| Some(p.gradient_norm)),
-            "epsilon": progress.epsilon,
-            "mean_return": mean(|p| p.mean_return),
-        }))
+    fn reported(&mut self, report: &TrainReport, pace: Pace) -> Result<(), FileError> {
+        let mut line = json!(report);
+        line["samples_per_s"] = json!(pace.samples_per_s);
+        line["waiting"] = json!(pace.waiting);
+        let scalars = line.as_object().into_iter().flatten();
+        let scalars = scalars.filter(|(name, _)| *name != "update");
+        let scalars: Vec<(&str, f64)> =
+            scalars.filter_map(|(name, value)| Some((&**name, value.as_f64()?))).collect();
+        self.events.add(report.update, &scalars)?;
+        self.line(&line)
     }
 
     fn judged(&mut self, update: u64, scores: &[(u32, f64)]) -> Result<(), FileError> {
+        let tags: Vec<String> = scores.iter().map(|(k, _)| format!("precision/{k}")).collect();
+        let scalars = tags.iter().zip(scores).map(|(tag, &(_, precision))| (&**tag, precision));
+        self.events.add(update, &scalars.collect::<Vec<_>>())?;
         let scores: serde_json::Map<String, Value> =
             scores.iter().map(|(k, precision)| (k.to_string(), json!(precision))).collect();
         self.line(&json!({ "update": update, "precision": scores }))

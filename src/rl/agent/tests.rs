@@ -1,7 +1,7 @@
 use tch::{Device, Kind, Tensor};
 
 use super::*;
-use crate::config::TrainConfig;
+use crate::config::{Precision, TrainConfig};
 
 /// `eq:discounted_reward` by hand: two states of three actions.
 #[test]
@@ -9,35 +9,92 @@ fn targets_by_hand() {
     let reward = Tensor::from_slice(&[-0.25_f32, -1.25]);
     let q_policy = Tensor::from_slice2(&[[1.0_f32, 3.0, 2.0], [5.0, 4.0, 6.0]]);
     let q_target = Tensor::from_slice2(&[[10.0_f32, 20.0, 30.0], [7.0, 8.0, 9.0]]);
-    let found = |terminal: [f32; 2], allowed: Option<[[f32; 3]; 2]>| -> Vec<f32> {
-        let terminal = Tensor::from_slice(&terminal);
+    let found = |discount: [f32; 2], allowed: Option<[[f32; 3]; 2]>| -> Vec<f32> {
+        let discount = Tensor::from_slice(&discount);
         let allowed = allowed.map(|allowed| Tensor::from_slice2(&allowed));
-        let y = target(&reward, &terminal, &q_policy, &q_target, allowed.as_ref(), 0.9);
+        let y = target(&reward, &discount, &q_policy, &q_target, allowed.as_ref());
         Vec::try_from(&y).expect("numbers")
     };
     // The policy chooses (actions 1 and 2), the target values: 20 and 9.
-    assert_eq!(found([0.0, 0.0], None), [-0.25 + 0.9 * 20.0, -1.25 + 0.9 * 9.0]);
-    assert_eq!(found([0.0, 1.0], None), [-0.25 + 0.9 * 20.0, -1.25]);
+    assert_eq!(found([0.5, 0.25], None), [-0.25 + 0.5 * 20.0, -1.25 + 0.25 * 9.0]);
+    assert_eq!(found([0.5, 0.0], None), [-0.25 + 0.5 * 20.0, -1.25]);
     let allowed = [[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]];
-    assert_eq!(found([0.0, 0.0], Some(allowed)), [-0.25 + 0.9 * 30.0, -1.25 + 0.9 * 8.0]);
+    assert_eq!(found([0.5, 0.5], Some(allowed)), [-0.25 + 0.5 * 30.0, -1.25 + 0.5 * 8.0]);
 }
 
-/// The first step of Adam moves each parameter by the learning rate, against its gradient.
+fn network(config: &TrainConfig) -> QNetwork {
+    QNetwork::new(121, 15, config, Device::Cpu).expect("it fits")
+}
+
+fn small() -> TrainConfig {
+    TrainConfig { widths: [2; 7], precision: Precision::Float32, ..TrainConfig::default() }
+}
+
+fn values(network: &QNetwork) -> Vec<f32> {
+    network
+        .named()
+        .flat_map(|(_, one)| Vec::try_from(one.flatten(0, -1)).expect("numbers"))
+        .collect()
+}
+
+/// The first steps of Adam move each parameter by the learning rate, against its gradient, however
+/// long that is.
 #[test]
 fn adam_by_hand() {
-    let mut parameters = [Tensor::from_slice(&[1.0_f32, -2.0]).set_requires_grad(true)];
-    let mut adam = Adam::new(&parameters);
-    let step = |parameters: &mut [Tensor], adam: &mut Adam| {
-        (&parameters[0] * Tensor::from_slice(&[3.0_f32, -4.0])).sum(Kind::Float).backward();
-        adam.step(parameters, 0.1, 0.0)
+    let mut network = network(&small());
+    let mut adam = Adam::new(&network);
+    let before = values(&network);
+    let gradients: Vec<Tensor> = network.leaves().iter().map(|leaf| leaf.full_like(-4.0)).collect();
+    let norm = adam.step(&mut network, &gradients, 0.1, 0.0).double_value(&[]);
+    let expected = 4.0 * (network.size() as f64).sqrt();
+    assert!((norm - expected).abs() < 1e-3 * expected, "{norm}");
+    let moved = |by: f32| {
+        let pairs = before.iter().zip(values(&network));
+        pairs.map(|(old, new)| (new - old - by).abs()).fold(0.0, f32::max)
     };
-    assert!((step(&mut parameters, &mut adam) - 5.0).abs() < 1e-6, "the norm of (3, -4)");
-    let values = Vec::<f32>::try_from(&parameters[0].detach()).expect("numbers");
-    assert!((values[0] - 0.9).abs() < 1e-6 && (values[1] + 1.9).abs() < 1e-6, "{values:?}");
-    // Constant gradients keep the pace, as they were set to zero in between.
-    step(&mut parameters, &mut adam);
-    let values = Vec::<f32>::try_from(&parameters[0].detach()).expect("numbers");
-    assert!((values[0] - 0.8).abs() < 1e-5 && (values[1] + 1.8).abs() < 1e-5, "{values:?}");
+    assert!(moved(0.1) < 1e-5, "{}", moved(0.1));
+    let _ = adam.step(&mut network, &gradients, 0.1, 1e-3);
+    // Of 4 and almost nothing, with the weights that Adam has for them.
+    let (first, second) = (0.9 * 0.4 / 0.19, 0.999 * 0.016 / 0.001_999);
+    let by = 0.1 + 0.1 * first / f64::sqrt(second);
+    let pairs = before.iter().zip(values(&network));
+    let off = pairs.map(|(old, new)| (new - old - by as f32).abs()).fold(0.0, f32::max);
+    assert!(off < 1e-4, "{off}");
+}
+
+#[test]
+fn a_target_network_comes_closer_by_its_share() {
+    let (mut target, policy) = (network(&small()), network(&TrainConfig { seed: 1, ..small() }));
+    let (before, goal) = (values(&target), values(&policy));
+    target.approach(&policy, 0.25);
+    for ((old, goal), new) in before.iter().zip(&goal).zip(values(&target)) {
+        assert!((old + 0.25 * (goal - old) - new).abs() < 1e-6);
+    }
+    target.approach(&policy, 1.0);
+    assert_eq!(values(&target), goal);
+    // What a pass computes with has changed too.
+    let leaf = Vec::<f32>::try_from(target.leaves()[0].flatten(0, -1)).expect("numbers");
+    assert_eq!(leaf, goal[..leaf.len()]);
+}
+
+/// In a dueling network the mean of all Q-values is the value of the state, whatever advantages are.
+#[test]
+fn advantages_have_no_mean() {
+    let config = TrainConfig { dueling: true, ..small() };
+    let dueling = network(&config);
+    let names: Vec<&str> = dueling.named().map(|(name, _)| name).collect();
+    assert_eq!(names[names.len() - 2..], ["value.weight", "value.bias"]);
+    let inputs = [121, 31].map(|side| Tensor::rand([2, 3, side, side], (Kind::Float, Device::Cpu)));
+    let q_values = |network: &QNetwork| {
+        let inputs = network.inputs(&inputs[0], &inputs[1]);
+        tch::no_grad(|| network.forward(&inputs).0)
+    };
+    let (plain, dueling) = (q_values(&network(&small())), q_values(&dueling));
+    let centred = |q: &Tensor| q - q.mean_dim(1, true, None);
+    let off = (centred(&plain) - centred(&dueling)).abs().max().double_value(&[]);
+    assert!(off < 1e-5, "the same advantages: {off}");
+    let means = (&plain.mean(Kind::Float) - dueling.mean(Kind::Float)).abs().double_value(&[]);
+    assert!(means > 1e-3, "another value: {means}");
 }
 
 #[test]
@@ -61,12 +118,12 @@ fn networks_have_the_shape_of_the_design_and_seeded_weights() {
         + 32
         + 1;
     assert_eq!(a.size(), expected);
-    let first = |network: &QNetwork| network.parameters()[0].double_value(&[0, 0, 0, 0]);
+    let first = |network: &QNetwork| values(network)[0];
     assert_eq!(first(&a), first(&b));
     assert_ne!(first(&a), first(&other));
     assert!(QNetwork::new(121, 14, &config, Device::Cpu).is_err());
     let inputs =
         [121, 31].map(|side| Tensor::zeros([2, 3, side, side], (Kind::Float, Device::Cpu)));
-    let (q_values, rewards) = a.forward(&inputs[0], &inputs[1]);
+    let (q_values, rewards) = a.forward(&a.inputs(&inputs[0], &inputs[1]));
     assert_eq!((q_values.size(), rewards.is_none()), (vec![2, 961], true));
 }

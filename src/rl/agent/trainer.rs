@@ -7,17 +7,21 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use serde::Serialize;
-use tch::Device;
+use tch::{Device, Tensor};
 
 use super::adam::Adam;
-use super::batch::Batcher;
-use super::checkpoint::{Checkpoint, CheckpointError, Run};
+use super::batch::{Batcher, flags};
+use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory, Run};
 use super::ddqn::loss;
+use super::device::upload;
 use super::network::{QNetwork, ShapeError};
+use super::report::{Totals, TotalsState, TrainReport};
 use crate::config::{RlConfig, TrainConfig};
 use crate::error::{Fault, HasFault};
-use crate::rl::{Environment, NothingToLearn, Random, Replay, Transition, World};
+use crate::rl::{
+    Cell, Environment, MapPool, NothingToLearn, PoolError, Priorities, Random, Recent, Replay,
+    Transition,
+};
 
 const ACTING: u64 = 21;
 const SAMPLING: u64 = 22;
@@ -29,6 +33,9 @@ pub enum TrainError {
     /// There is nothing to learn from.
     #[error(transparent)]
     NothingToLearn(#[from] NothingToLearn),
+    /// A map cannot be read.
+    #[error(transparent)]
+    Pool(#[from] PoolError),
     /// The network does not fit the maps.
     #[error(transparent)]
     Shape(#[from] ShapeError),
@@ -37,14 +44,12 @@ pub enum TrainError {
     Checkpoint(#[from] CheckpointError),
     /// The loss is no number any more.
     #[error(
-        "the loss became {loss} at update {update}: the last checkpoint is from before; \
-         lower train.learning_rate or train.clip_norm"
+        "the loss or its gradient is no finite number any more, shortly before update {update}: the \
+         last checkpoint is from before; lower train.learning_rate or train.clip_norm"
     )]
     Diverged {
-        /// The update.
+        /// Updates done.
         update: u64,
-        /// The loss.
-        loss: f64,
     },
 }
 
@@ -52,6 +57,7 @@ impl HasFault for TrainError {
     fn fault(&self) -> Fault {
         match self {
             Self::NothingToLearn(error) => error.fault(),
+            Self::Pool(error) => error.fault(),
             Self::Shape(error) => error.fault(),
             Self::Checkpoint(error) => error.fault(),
             Self::Diverged { .. } => Fault::Running,
@@ -62,53 +68,33 @@ impl HasFault for TrainError {
 /// What to train on and how.
 #[derive(Debug, Clone, Copy)]
 pub struct TrainJob<'a> {
-    /// The maps.
-    pub maps: &'a [Arc<World>],
     /// SHA-256 of the dataset's manifest.
     pub dataset_sha256: &'a str,
     /// The task.
     pub rl: &'a RlConfig,
     /// How to train.
     pub train: &'a TrainConfig,
-}
-
-/// How an update went.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Progress {
-    /// Updates done.
-    pub update: u64,
-    /// Steps of all episodes done.
-    pub steps: u64,
-    /// What was minimised.
-    pub loss: f64,
-    /// Its part of Q-values, `L_1`.
-    pub q_loss: f64,
-    /// Mean squared error of predicted rewards, if there is a head for them.
-    pub reward_loss: Option<f64>,
-    /// Norm of the gradients before it was limited.
-    pub gradient_norm: f64,
-    /// Share of random actions.
-    pub epsilon: f64,
-    /// Mean return of the episodes that ended since the last update, not discounted.
-    pub mean_return: Option<f64>,
+    /// Where to compute.
+    pub device: Device,
 }
 
 /// Training under way.
 #[derive(Debug)]
 pub struct Trainer<'a> {
     job: TrainJob<'a>,
+    pool: MapPool,
     environment: Environment,
+    /// Steps that no transition begins with yet, and the return so far, of each episode.
+    recent: Vec<Recent>,
+    returns: Vec<f32>,
     replay: Replay,
+    priorities: Option<Priorities>,
     batcher: Batcher,
     policy: QNetwork,
     target: QNetwork,
     adam: Adam,
-    updates: u64,
-    steps: u64,
-    /// Best score on the validation split so far, and the update that had it.
-    pub best: Option<(f64, u64)>,
-    /// Returns of the running episodes; for the log only.
-    returns: Vec<f64>,
+    counters: Counters,
+    totals: Totals,
 }
 
 impl<'a> Trainer<'a> {
@@ -116,25 +102,31 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// If there is nothing to learn, or the network does not fit the maps.
-    pub fn new(job: TrainJob<'a>) -> Result<Self, TrainError> {
-        let TrainJob { maps, rl, train, .. } = job;
+    pub fn new(job: TrainJob<'a>, pool: MapPool) -> Result<Self, TrainError> {
+        let TrainJob { rl, train, device, .. } = job;
+        let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
         let episodes = train.episodes as usize;
-        let environment = Environment::new(maps, episodes, rl.max_steps, train.seed)?;
-        let cells = environment.maps()[0].cells();
-        let network = || QNetwork::new(cells, rl.reach_cells, train, Device::Cpu);
+        let environment = Environment::new(&maps, episodes, rl.max_steps, train.seed)?;
+        let cells = maps[0].cells();
+        let network = || QNetwork::new(cells, rl.reach_cells, train, device);
         let (policy, target) = (network()?, network()?);
+        let capacity = train.replay as usize;
+        let has_reward = train.reward_prediction > 0.0;
         Ok(Self {
             job,
-            replay: Replay::new(train.replay as usize, cells, rl.max_steps as usize),
-            batcher: Batcher::new(environment.maps(), rl, Device::Cpu),
-            adam: Adam::new(policy.parameters()),
+            environment,
+            recent: vec![Recent::default(); episodes],
+            returns: vec![0.0; episodes],
+            replay: Replay::new(capacity, cells, rl.max_steps as usize),
+            priorities: (train.priority_exponent > 0.0)
+                .then(|| Priorities::new(capacity, train.priority_exponent)),
+            batcher: Batcher::new(pool.maps().to_vec(), rl, train, device),
+            adam: Adam::new(&policy),
             policy,
             target,
-            updates: 0,
-            steps: 0,
-            best: None,
-            returns: vec![0.0; episodes],
-            environment,
+            counters: Counters::default(),
+            totals: Totals::new(&TotalsState::default(), has_reward, device),
+            pool,
         })
     }
 
@@ -142,41 +134,72 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// As [`Trainer::new`], and if the checkpoint is damaged or of another run.
-    pub fn resume(job: TrainJob<'a>, directory: &Path) -> Result<Self, TrainError> {
-        let mut trainer = Self::new(job)?;
+    pub fn resume(
+        job: TrainJob<'a>,
+        mut pool: MapPool,
+        directory: &Path,
+    ) -> Result<Self, TrainError> {
         let checkpoint = Checkpoint::read(directory)?;
-        checkpoint.demand(directory, &trainer.run())?;
-        let networks = [&mut trainer.policy, &mut trainer.target];
-        checkpoint.restore_tensors(directory, networks, &mut trainer.adam)?;
+        checkpoint.demand(directory, &Run::of(&job, &pool.maps()[0].1))?;
         let damaged = |what: &str| CheckpointError::Format {
             path: directory.to_owned(),
             reason: format!("its {what} do not fit this run"),
         };
-        if !trainer.environment.restore(&checkpoint.episodes) {
+        let Memory { pool: maps, episodes, recent, returns, replay_added, replay, priorities } =
+            &checkpoint.memory;
+        if !pool.restore(maps)? {
+            return Err(damaged("maps").into());
+        }
+        let mut trainer = Self::new(job, pool)?;
+        let networks = [&mut trainer.policy, &mut trainer.target];
+        checkpoint.restore_tensors(directory, networks, &mut trainer.adam)?;
+        let slots = trainer.environment.len();
+        if !trainer.environment.restore(episodes) || [recent.len(), returns.len()] != [slots; 2] {
             return Err(damaged("episodes").into());
         }
-        if !trainer.replay.restore(checkpoint.replay_added, checkpoint.replay.into_vec()) {
+        if !trainer.replay.restore(*replay_added, replay.to_vec()) {
             return Err(damaged("transitions").into());
         }
-        (trainer.updates, trainer.steps) = (checkpoint.updates, checkpoint.steps);
-        trainer.best = checkpoint.best;
+        if let Some(own) = &mut trainer.priorities
+            && !own.restore(priorities)
+        {
+            return Err(damaged("priorities").into());
+        }
+        (trainer.recent, trainer.returns) = (recent.clone(), returns.clone());
+        trainer.counters = checkpoint.counters;
+        let has_reward = job.train.reward_prediction > 0.0;
+        trainer.totals = Totals::new(&checkpoint.totals, has_reward, job.device);
         Ok(trainer)
-    }
-
-    fn run(&self) -> Run<'a> {
-        let TrainJob { rl, train, dataset_sha256, .. } = self.job;
-        Run { rl, train, dataset_sha256 }
     }
 
     /// Writes a checkpoint.
     ///
     /// # Errors
-    /// [`CheckpointError`]; nothing is left under the final name then.
-    pub fn save(&self, directory: &Path) -> Result<(), CheckpointError> {
-        let counters = [self.updates, self.steps];
-        let (episodes, replay) = (self.environment.save(), self.replay.state());
-        let checkpoint = Checkpoint::new(&self.run(), counters, self.best, episodes, replay);
-        checkpoint.write(directory, [&self.policy, &self.target], &self.adam)
+    /// [`TrainError::Diverged`] if there is nothing worth to be kept, or [`CheckpointError`];
+    /// nothing is left under the final name then.
+    pub fn save(&self, directory: &Path) -> Result<(), TrainError> {
+        let update = self.counters.updates;
+        let totals = self.totals.state().ok_or(TrainError::Diverged { update })?;
+        let (replay_added, replay) = self.replay.state();
+        let priorities =
+            self.priorities.as_ref().map(|priorities| priorities.state(self.replay.len()));
+        let memory = Memory {
+            pool: self.pool.state(),
+            episodes: self.environment.save(),
+            recent: self.recent.clone(),
+            returns: self.returns.clone(),
+            replay_added,
+            replay: replay.to_vec().into(),
+            priorities: priorities.unwrap_or_default().into(),
+        };
+        let checkpoint = Checkpoint::new(
+            &Run::of(&self.job, &self.pool.maps()[0].1),
+            self.counters,
+            totals,
+            memory,
+        );
+        checkpoint.write(directory, [&self.policy, &self.target], &self.adam)?;
+        Ok(())
     }
 
     /// The network as it is now.
@@ -185,16 +208,52 @@ impl<'a> Trainer<'a> {
         &self.policy
     }
 
+    /// The maps.
+    #[must_use]
+    pub fn pool(&self) -> &MapPool {
+        &self.pool
+    }
+
     /// Updates done.
     #[must_use]
     pub fn updates(&self) -> u64 {
-        self.updates
+        self.counters.updates
     }
 
-    /// Bytes that the replay takes when it is full.
+    /// Best score on the validation split so far, and the update that had it.
     #[must_use]
-    pub fn replay_bytes(&self) -> usize {
-        self.replay.stride() * self.job.train.replay as usize
+    pub fn best(&self) -> Option<(f64, u64)> {
+        self.counters.best
+    }
+
+    /// Notes the score of a judgement; returns whether it is the best so far.
+    pub(super) fn judged(&mut self, score: f64) -> bool {
+        let is_best = self.counters.best.is_none_or(|(best, _)| score > best);
+        if is_best {
+            self.counters.best = Some((score, self.counters.updates));
+            self.counters.judged_since_best = 0;
+        } else {
+            self.counters.judged_since_best += 1;
+        }
+        is_best
+    }
+
+    /// Whether nothing is left to be done: all updates are made, or scores no longer rise.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        let TrainConfig { updates, patience, .. } = *self.job.train;
+        let has_patience = patience == 0 || self.counters.judged_since_best < patience;
+        self.counters.updates >= updates || !has_patience
+    }
+
+    /// How it went since the last report.
+    ///
+    /// # Errors
+    /// [`TrainError::Diverged`] if the loss is no number any more.
+    pub fn report(&mut self) -> Result<TrainReport, TrainError> {
+        let (epsilon, Counters { updates, steps, .. }) = (self.epsilon(), self.counters);
+        let report = self.totals.take([updates, steps], epsilon);
+        report.ok_or(TrainError::Diverged { update: updates })
     }
 
     /// Share of random actions now: all while the replay warms up, then falling along a line.
@@ -205,56 +264,101 @@ impl<'a> Trainer<'a> {
             return 1.0;
         }
         let over = (train.epsilon_decay * train.updates as f64).max(1.0);
-        let fallen = (self.updates as f64 / over).min(1.0);
+        let fallen = (self.counters.updates as f64 / over).min(1.0);
         train.epsilon_start + (train.epsilon_end - train.epsilon_start) * fallen
     }
 
     /// One update: as many steps of all episodes as are due, then one step of Adam.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] if the loss is no finite number; nothing is learned then.
-    pub fn update(&mut self) -> Result<Progress, TrainError> {
+    /// If a map cannot be read.
+    pub fn update(&mut self) -> Result<(), TrainError> {
         let train = self.job.train;
-        let mut returns = Vec::new();
         while self.replay.len() < train.warmup as usize {
-            self.act(&mut returns);
+            self.act()?;
         }
-        if self.updates.is_multiple_of(train.updates_per_step.into()) {
-            self.act(&mut returns);
+        if self.counters.updates.is_multiple_of(train.updates_per_step.into()) {
+            self.act()?;
         }
-        let mut random = Random::keyed(&[train.seed, SAMPLING, self.updates]);
-        let transitions = self.replay.sample(train.batch as usize, &mut random);
+        // Maps that were just replaced have taken their transitions along.
+        while self.learnable() < train.batch as usize {
+            self.act()?;
+        }
+        self.learn();
+        Ok(())
+    }
+
+    /// Transitions on maps that are in memory.
+    fn learnable(&self) -> usize {
+        if !self.pool.is_streamed() {
+            return self.replay.len();
+        }
+        self.pool.maps().iter().map(|&(number, _)| self.replay.on_map(number)).sum()
+    }
+
+    /// One step of Adam on sampled transitions.
+    pub fn learn(&mut self) {
+        let train = self.job.train;
+        let mut random = Random::keyed(&[train.seed, SAMPLING, self.counters.updates]);
+        let positions: Vec<usize> = (0..train.batch).map(|_| self.draw(&mut random)).collect();
+        let transitions: Vec<Transition> =
+            positions.iter().map(|&at| self.replay.get(at)).collect();
         let batch = self.batcher.batch(&transitions, train.augment.then_some(&mut random));
-        let parts = loss(&self.policy, &self.target, &batch, train);
-        let total = parts.total.double_value(&[]);
-        if !total.is_finite() {
-            return Err(TrainError::Diverged { update: self.updates, loss: total });
+        let weights = self.importance(&positions);
+        let parts = loss(&self.policy, &self.target, &batch, weights.as_ref(), train);
+        let gradients = Tensor::run_backward(&[&parts.total], self.policy.leaves(), false, false);
+        let (rate, clip) = (train.learning_rate, train.clip_norm);
+        let norm = self.adam.step(&mut self.policy, &gradients, rate, clip);
+        self.totals.add(&parts, &norm);
+        if let Some(priorities) = &mut self.priorities {
+            let errors = Vec::<f32>::try_from(&parts.errors).expect("a row of numbers");
+            let errors = positions.iter().zip(errors).filter(|(_, error)| error.is_finite());
+            errors.for_each(|(&at, error)| priorities.change(at, error));
         }
-        parts.total.backward();
-        let parameters = self.policy.parameters_mut();
-        let norm = self.adam.step(parameters, train.learning_rate, train.clip_norm);
-        let epsilon = self.epsilon();
-        self.updates += 1;
-        if self.updates.is_multiple_of(train.target_sync.into()) {
-            self.target.copy_from(self.policy.parameters());
+        self.counters.updates += 1;
+        if train.target_share > 0.0 {
+            self.target.approach(&self.policy, train.target_share);
+        } else if self.counters.updates.is_multiple_of(train.target_sync.into()) {
+            self.target.approach(&self.policy, 1.0);
         }
-        Ok(Progress {
-            update: self.updates,
-            steps: self.steps,
-            loss: total,
-            q_loss: parts.q.double_value(&[]),
-            reward_loss: parts.reward.map(|reward| reward.double_value(&[])),
-            gradient_norm: norm,
-            epsilon,
-            mean_return: (!returns.is_empty())
-                .then(|| returns.iter().sum::<f64>() / returns.len() as f64),
-        })
+    }
+
+    /// The position of a transition on a map that is in memory.
+    fn draw(&self, random: &mut Random) -> usize {
+        loop {
+            let at = match &self.priorities {
+                Some(priorities) => priorities.draw(random),
+                None => random.below(self.replay.len()),
+            };
+            if self.batcher.holds(self.replay.map(at)) {
+                return at;
+            }
+        }
+    }
+
+    /// What makes good for drawing some transitions more often than others: `(N p)^(-β)`, the
+    /// greatest of them 1, `[batch]`.
+    fn importance(&self, positions: &[usize]) -> Option<Tensor> {
+        let priorities = self.priorities.as_ref()?;
+        let TrainConfig { updates, priority_correction: first, .. } = *self.job.train;
+        let done = (self.counters.updates as f64 / updates as f64).min(1.0);
+        let exponent = -(first + (1.0 - first) * done);
+        let count = self.replay.len() as f64;
+        let weight = |&at: &usize| libm::pow(count * priorities.likelihood(at), exponent);
+        let weights: Vec<f64> = positions.iter().map(weight).collect();
+        let greatest = weights.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+        let weights: Vec<f32> = weights.iter().map(|weight| (weight / greatest) as f32).collect();
+        Some(upload(&weights, self.job.device))
     }
 
     /// One step of all episodes, ε-greedy, into the replay.
-    fn act(&mut self, returns: &mut Vec<f64>) {
+    fn act(&mut self) -> Result<(), PoolError> {
         let train = self.job.train;
-        let mut random = Random::keyed(&[train.seed, ACTING, self.steps]);
+        if self.counters.steps > 0 && self.counters.steps.is_multiple_of(train.refresh_every.into())
+        {
+            self.refresh()?;
+        }
+        let mut random = Random::keyed(&[train.seed, ACTING, self.counters.steps]);
         let epsilon = self.epsilon();
         let slots = self.environment.len();
         let explores: Vec<bool> = (0..slots).map(|_| random.unit() < epsilon).collect();
@@ -272,27 +376,45 @@ impl<'a> Trainer<'a> {
                 }
             })
             .collect();
-        let before: Vec<(u32, Vec<crate::rl::Cell>)> = (0..slots)
-            .map(|slot| {
-                (self.environment.map(slot) as u32, self.environment.state(slot).1.to_vec())
-            })
+        let before: Vec<(u32, Vec<Cell>)> = (0..slots)
+            .map(|slot| (self.number(slot), self.environment.state(slot).1.to_vec()))
             .collect();
         let outcomes = self.environment.step(&actions);
-        for (slot, ((map, visited), outcome)) in before.into_iter().zip(outcomes).enumerate() {
-            self.replay.push(&Transition {
-                map,
-                visited,
-                action: actions[slot],
-                reward: outcome.reward,
-                next: outcome.next,
-                terminal: outcome.terminal,
-            });
-            self.returns[slot] += f64::from(outcome.reward);
-            if outcome.terminal || outcome.truncated {
-                returns.push(std::mem::take(&mut self.returns[slot]));
+        for (slot, ((map, mut path), outcome)) in before.into_iter().zip(outcomes).enumerate() {
+            path.push(outcome.next);
+            let ends = outcome.terminal || outcome.truncated;
+            let step = (actions[slot], outcome.reward);
+            let (replay, priorities) = (&mut self.replay, &mut self.priorities);
+            let push = |transition| remember(replay, priorities.as_mut(), &transition);
+            let most = train.return_steps as usize;
+            self.recent[slot].step((map, &path), step, [ends, outcome.terminal], most, push);
+            self.returns[slot] += outcome.reward;
+            if ends {
+                self.totals.ended(std::mem::take(&mut self.returns[slot]).into());
             }
         }
-        self.steps += 1;
+        self.counters.steps += 1;
+        Ok(())
+    }
+
+    /// Number of the map of an episode.
+    fn number(&self, slot: usize) -> u32 {
+        self.pool.maps()[self.environment.map(slot)].0
+    }
+
+    /// Replaces a map if there are others. The episodes on it end there.
+    fn refresh(&mut self) -> Result<(), PoolError> {
+        let numbers: Vec<u32> = self.pool.maps().iter().map(|&(number, _)| number).collect();
+        let Some(place) = self.pool.refresh()? else { return Ok(()) };
+        let (number, map) = &self.pool.maps()[place];
+        let Self { recent, returns, replay, priorities, .. } = self;
+        self.environment.replace(place, map, |slot, visited| {
+            returns[slot] = 0.0;
+            let push = |transition| remember(replay, priorities.as_mut(), &transition);
+            recent[slot].cut((numbers[place], visited), false, push);
+        });
+        self.batcher.replace(place, *number, Arc::clone(map));
+        Ok(())
     }
 
     /// The best actions of the episodes that do not explore.
@@ -302,30 +424,27 @@ impl<'a> Trainer<'a> {
         if wanted.is_empty() {
             return actions;
         }
-        let states: Vec<_> = wanted
+        let states: Vec<(u32, &[Cell])> = wanted
             .iter()
-            .map(|&slot| {
-                let (map, visited) = self.environment.state(slot);
-                (&**map, visited)
-            })
+            .map(|&slot| (self.number(slot), self.environment.state(slot).1))
             .collect();
         let [map, window] = self.batcher.states(&states);
-        let q_values = tch::no_grad(|| self.policy.forward(&map, &window).0);
+        let sets = wanted.iter().map(|&slot| self.environment.permissible(slot));
         let count = self.environment.actions().count();
-        let mut values = vec![0.0_f32; wanted.len() * count];
-        q_values.copy_data(&mut values, wanted.len() * count);
-        for (&slot, values) in wanted.iter().zip(values.chunks_exact(count)) {
-            let allowed = self.job.train.mask_actions.then(|| self.environment.permissible(slot));
-            actions[slot] =
-                Some(best(values, |action| allowed.is_none_or(|allowed| allowed.contains(action))));
+        let allowed = self.job.train.mask_actions.then(|| flags(sets, count, self.job.device));
+        let best = self.policy.best_actions(&self.policy.inputs(&map, &window), allowed.as_ref());
+        let best = Vec::<i64>::try_from(&best).expect("an action for each");
+        for (slot, action) in wanted.into_iter().zip(best) {
+            actions[slot] = Some(action as usize);
         }
         actions
     }
 }
 
-/// The first of the allowed actions with the greatest value.
-pub(super) fn best(values: &[f32], allowed: impl Fn(usize) -> bool) -> usize {
-    let actions = (0..values.len()).filter(|&action| allowed(action)).rev();
-    let best = actions.max_by(|&a, &b| values[a].total_cmp(&values[b]));
-    best.expect("to stay is permissible")
+/// Adds a transition to the replay.
+fn remember(replay: &mut Replay, priorities: Option<&mut Priorities>, transition: &Transition) {
+    let at = replay.push(transition);
+    if let Some(priorities) = priorities {
+        priorities.add(at);
+    }
 }

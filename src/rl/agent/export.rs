@@ -1,0 +1,125 @@
+//! Policies to be given away: weights, a manifest, a card that tells how to use them.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::checkpoint::{Checkpoint, CheckpointError, WEIGHTS, load_weights};
+use crate::error::{Fault, FileError, HasFault};
+use crate::manifest::{PolicyManifest, Software, fingerprint, to_json};
+use crate::store::{OutputDir, OutputError, sha256_bytes};
+
+const CARD: &str = include_str!("model_card.md");
+
+/// Why a policy cannot be exported.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The checkpoint cannot be used.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The output directory cannot be used.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+impl HasFault for ExportError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Checkpoint(error) => error.fault(),
+            Self::Output(error) => error.fault(),
+            Self::File(error) => error.fault(),
+        }
+    }
+}
+
+/// Exports the policy of a checkpoint: `weights.safetensors`, the card `README.md`, `manifest.json`
+/// and checksums. The same checkpoint gives the same bytes.
+///
+/// # Errors
+/// [`ExportError`]; nothing is complete under the final name then.
+pub fn export_policy(
+    checkpoint: &Path,
+    out: &Path,
+    overwrite: bool,
+) -> Result<PolicyManifest, ExportError> {
+    let state = Checkpoint::read(checkpoint)?;
+    // Weights that do not fit are found here, and not by whom they are given to.
+    let device = tch::Device::Cpu;
+    let (_, network) = load_weights(checkpoint, state.cells as usize, &state.rl, device)?;
+    let path = checkpoint.join(WEIGHTS);
+    let weights = std::fs::read(&path).map_err(FileError::new("read", &path))?;
+    let Checkpoint { rl, train, dataset_sha256, counters, cells, cell_m, .. } = state;
+    let weights_sha256 = sha256_bytes(&weights).sha256;
+    let score = counters.best.filter(|&(_, update)| update == counters.updates);
+    let manifest = PolicyManifest {
+        schema: PolicyManifest::SCHEMA.to_owned(),
+        fingerprint: fingerprint(&("policy", &weights_sha256, &dataset_sha256, &rl, &train)),
+        software: Software::this(),
+        weights_sha256,
+        parameters: network.size() as u64,
+        cells,
+        cell_m,
+        dataset_sha256,
+        updates: counters.updates,
+        score: score.map(|(score, _)| score),
+        rl,
+        train,
+    };
+    let output = OutputDir::begin(out, "policy", &manifest.fingerprint, overwrite)?;
+    output.write(WEIGHTS, &weights)?;
+    output.write("README.md", card(&manifest).as_bytes())?;
+    output.complete(&to_json(&manifest))?;
+    Ok(manifest)
+}
+
+/// The sections of a configuration that made a policy.
+#[derive(Serialize)]
+struct Sections<'a> {
+    rl: &'a crate::config::RlConfig,
+    train: &'a crate::config::TrainConfig,
+}
+
+fn card(manifest: &PolicyManifest) -> String {
+    let PolicyManifest { rl, train, software, cells, cell_m, .. } = manifest;
+    let side = 2 * rl.reach_cells + 1;
+    let score = manifest.score.map_or_else(String::new, |score| {
+        format!(
+            "Its mean precision after 1, 2 and 4 steps on the validation split was {:.1} %.",
+            100.0 * score
+        )
+    });
+    let masked = if train.mask_actions {
+        " It was trained to choose among permissible moves only: leave the others out before you \
+         take the greatest value."
+    } else {
+        ""
+    };
+    let config = toml::to_string(&Sections { rl, train }).expect("configurations are TOML");
+    let values = [
+        ("software", format!("{} {}", software.name, software.version)),
+        ("parameters", manifest.parameters.to_string()),
+        ("actions", (side * side).to_string()),
+        ("updates", manifest.updates.to_string()),
+        ("dataset", manifest.dataset_sha256.clone()),
+        ("score", score),
+        ("cells", cells.to_string()),
+        ("cell_m", cell_m.to_string()),
+        ("side", side.to_string()),
+        ("decay", rl.encoding_decay.to_string()),
+        ("floor", rl.floor_dbm.0.to_string()),
+        ("threshold", format!("({})", rl.hole_threshold_dbm.0)),
+        ("minus_threshold", (-rl.hole_threshold_dbm.0).to_string()),
+        ("height_scale", rl.height_scale_m.to_string()),
+        ("discount", train.discount.to_string()),
+        ("masked", masked.to_owned()),
+        ("config", config),
+    ];
+    let fill = |card: String, (name, value): &(&str, String)| {
+        card.replace(&format!("{{{{{name}}}}}"), value)
+    };
+    values.iter().fold(CARD.to_owned(), fill)
+}

@@ -1,0 +1,111 @@
+//! The memory that training takes, known before it begins.
+
+use sysinfo::System;
+use tch::Device;
+
+use super::network::{QNetwork, ShapeError};
+use crate::config::{Config, Split};
+use crate::dataset::Dataset;
+use crate::error::{Fault, HasFault};
+use crate::rl::{CHANNELS, Priorities, Replay, World};
+
+/// Copies of a batch's numbers that a pass holds at a time: as encoded, as computed with, and what
+/// layers keep for the gradient. Measured, and rounded up.
+const COPIES: usize = 8;
+
+/// Why training cannot begin.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MemoryError {
+    /// The network does not fit the maps.
+    #[error(transparent)]
+    Shape(#[from] ShapeError),
+    /// There is too little memory.
+    #[error(
+        "training needs about {} MB ({} MB maps, {} MB replay, {} MB network and batch), {} MB are \
+         free: lower train.map_memory_mb, train.replay or train.batch",
+        mb(need.bytes()), mb(need.map_bytes), mb(need.replay_bytes), mb(need.network_bytes), mb(*free)
+    )]
+    TooLittle {
+        /// What it needs.
+        need: MemoryNeed,
+        /// What is free, in bytes.
+        free: usize,
+    },
+}
+
+fn mb(bytes: usize) -> usize {
+    bytes.div_ceil(1_000_000)
+}
+
+impl HasFault for MemoryError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Shape(error) => error.fault(),
+            Self::TooLittle { .. } => Fault::Running,
+        }
+    }
+}
+
+/// Memory in bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MemoryNeed {
+    /// Maps to train on and to be judged on.
+    pub map_bytes: usize,
+    /// Transitions and their priorities.
+    pub replay_bytes: usize,
+    /// Networks, optimiser, batches.
+    pub network_bytes: usize,
+}
+
+impl MemoryNeed {
+    /// What training on a dataset takes. A network on a graphics card takes nothing here.
+    ///
+    /// # Errors
+    /// If the network does not fit the maps of the dataset.
+    pub fn new(dataset: &Dataset, config: &Config, device: Device) -> Result<Self, ShapeError> {
+        let Config { rl, train, .. } = config;
+        let cells = dataset.manifest().cells as usize;
+        let records = |split| dataset.ids().iter().filter(|&&(_, of)| of == split).count();
+        let map = World::bytes(cells);
+        let train_bytes =
+            (records(Split::Train) * map).min(train.map_memory_mb as usize * 1_000_000);
+        let val_bytes = records(Split::Val).min(train.evaluate_maps as usize) * map;
+        let (max_steps, replay) = (rl.max_steps as usize, train.replay as usize);
+        let prioritised = train.priority_exponent > 0.0;
+        let priorities = if prioritised { Priorities::bytes(replay) } else { 0 };
+        let network = QNetwork::new(cells, rl.reach_cells, train, Device::Cpu)?;
+        let window = (2 * rl.reach_cells as usize + 1).pow(2);
+        let state = size_of::<f32>() * CHANNELS * (cells * cells + window);
+        // Policy, target, moments, gradients; each with a copy of 16 bits.
+        let weights = 6 * 6 * network.size();
+        let batch = 2 * COPIES * state * train.batch.max(train.episodes) as usize;
+        Ok(Self {
+            map_bytes: train_bytes + val_bytes,
+            replay_bytes: Replay::stride_of(max_steps) * replay + priorities,
+            network_bytes: if device == Device::Cpu { weights + batch } else { 0 },
+        })
+    }
+
+    /// All of it.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.map_bytes + self.replay_bytes + self.network_bytes
+    }
+
+    /// Demands that so much is free, within the limits of a container too.
+    ///
+    /// # Errors
+    /// [`MemoryError::TooLittle`].
+    pub fn demand(self) -> Result<(), MemoryError> {
+        let mut system = System::new();
+        system.refresh_memory();
+        let limit = system.cgroup_limits().map_or(u64::MAX, |limits| limits.free_memory);
+        let free = usize::try_from(system.available_memory().min(limit)).unwrap_or(usize::MAX);
+        // Zero is what systems tell that do not know.
+        if free > 0 && self.bytes() > free {
+            return Err(MemoryError::TooLittle { need: self, free });
+        }
+        Ok(())
+    }
+}
