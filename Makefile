@@ -209,6 +209,20 @@ bench: $(BIN) dataset $(VENV)/.installed
 	$(VENV)/bin/pip install -q -r benches/requirements.txt
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) benches/rasterise_vs_peers.py
 
+# Training against two programs in PyTorch, and where its time goes. TRAINED names a larger dataset than the fixtures.
+TRAINED ?= $(OUT)/dataset
+TRAIN_BENCH := target/release/train_bench
+.PHONY: bench-train
+bench-train: dataset $(LIBTORCH)/.installed | tools-torch
+	cargo build --release --locked --example encode_states
+	$(TORCH) cargo bench --locked --features torch --bench train --no-run --message-format=json \
+	  | sed -n 's/.*"name":"train".*"executable":"\([^"]*\)".*/\1/p' | xargs -I{} cp {} $(TRAIN_BENCH)
+	$(TRAIN_BENCH) $(TRAINED)
+	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
+	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
+	  HOLESCOUT_DATASET=$(abspath $(TRAINED)) TRAIN_BENCH=$(abspath $(TRAIN_BENCH)) \
+	  ENCODE_STATES=$(abspath target/release/examples/encode_states) $(PYTHON) benches/train_vs_pytorch.py
+
 .PHONY: clean
 clean:
 	rm -rf build target $(VENV) $(LIBTORCH)

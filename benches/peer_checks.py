@@ -12,7 +12,9 @@ import numpy as np
 import torch
 from encode_vs_numpy import COMPARED, array, encode, records
 from peer_plain import VectorEnv
-from peer_task import ACTIONS, CELLS, EPISODES, FLOOR_DBM, MAX_STEPS, OFFSETS, REACH, SIDE, Environment, Maps
+from peer_task import (
+    ACTIONS, BATCH, CELLS, DISCOUNT, EPISODES, FLOOR_DBM, MAX_STEPS, OFFSETS, REACH, SIDE, Environment, Maps,
+)
 from peer_tuned import Encoder, States, Tuned
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests/torch"))
@@ -107,7 +109,8 @@ def check_batches_and_loss(maps: Maps) -> float:
     row, column = to // CELLS - at // CELLS + REACH, to % CELLS - at % CELLS + REACH
     assert torch.equal((row * SIDE + column)[moved], batch["action"][moved])
     policy, target = (dict(network.named_parameters()) for network in (tuned.policy, tuned.target))
-    expected, _ = reference_loss(policy, target, batch, paper=False)
+    discounted = batch | {"discount": DISCOUNT * (1 - batch["terminal"]), "next_of": torch.arange(BATCH)}
+    expected, _ = reference_loss(policy, target, discounted, "best")
     found = tuned.loss(batch)
     gradients = [torch.autograd.grad(one, list(policy.values())) for one in (found, expected)]
     pairs = [(found, expected), *zip(*gradients, strict=True)]

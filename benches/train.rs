@@ -168,29 +168,36 @@ fn profile(
     );
 
     let whole = median(|| trainer.update().expect("maps are in memory"));
+    let acting = median(|| trainer.act().expect("maps are in memory"));
     let learning = median(|| trainer.learn());
     let encoding = median(|| drop(batcher.batch(&transitions, Some(&mut random))));
     let inputs = policy.inputs(&batch.map, &batch.window);
+    let preparing = median(|| drop(policy.inputs(&batch.map, &batch.window)));
     let forward = median(|| drop(policy.best_actions(&inputs, None)));
+    let actions = policy.best_actions(&inputs, None);
+    let single = median(|| drop(tch::no_grad(|| target.values_of(&inputs, &actions))));
     let losses = median(|| drop(tch::no_grad(|| loss(&policy, &target, &batch, None, train))));
     let backward = median(|| drop(gradients(&policy)));
     let optimiser = median(|| drop(adam.step(&mut policy, &some, 1e-9, 10.0)));
     let convolved = median(|| tch::no_grad(|| convolutions.run(false)));
     let learned = median(|| convolutions.run(true));
-    let only_convolutions = 3.0 * convolved + learned;
+    let only_convolutions = 2.0 * convolved + learned;
     println!("{:?} on {device:?}, batch {}", policy.computing().kind, train.batch);
     let samples = f64::from(train.batch);
     for (name, seconds) in [
         ("update with one step of 64 episodes", whole),
+        ("  a step of all episodes", acting),
         ("  learning", learning),
         ("    encoding the batch", encoding),
-        ("    losses, no gradient (3 passes)", losses),
+        ("    preparing inputs (twice)", 2.0 * preparing),
+        ("    losses, no gradient (2 passes, single values)", losses),
+        ("      single values", single),
         ("    losses and gradients", backward),
         ("    Adam", optimiser),
         ("  a pass of 64 states", forward),
         ("    its convolutions alone", convolved),
         ("    those of a pass with gradients", learned),
-        ("convolutions of the update (4 passes, 1 of them with gradients)", only_convolutions),
+        ("convolutions of the update (3 passes, 1 of them with gradients)", only_convolutions),
     ] {
         println!("{name:<64} {:>8.2} ms {:>7.0} samples/s", 1e3 * seconds, samples / seconds);
     }

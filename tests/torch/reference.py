@@ -38,7 +38,7 @@ def loss(
             online = online.masked_fill(batch["next_permissible"] == 0, -torch.inf)
         best = online.argmax(1)
         value = q_values(target, batch["next_map"], batch["next_window"])[torch.arange(len(best)), 0, best]
-        y = batch["reward"] + batch["discount"] * value
+        y = batch["reward"].index_add(0, batch["next_of"], batch["discount"] * value)
     outputs = q_values(policy, batch["map"], batch["window"])
     q = outputs[:, 0]
     taken = q[torch.arange(len(y)), batch["action"]]

@@ -27,10 +27,9 @@ def test_losses_and_gradients_agree(tmp_path: Path, preset: str) -> None:
     batch, policy, target, outputs = (
         double(tmp_path / f"{name}.safetensors") for name in ("inputs", "policy", "target", "outputs")
     )
-    assert (batch["discount"] == 0).any(), "no episode ended"
-    steps = 3 if preset == "other" else 1
-    assert torch.allclose(batch["discount"].max(), torch.tensor(0.99).double()), "short ones at the end"
-    assert torch.allclose(batch["discount"][batch["discount"] > 0].min(), torch.tensor(0.99**steps).double())
+    steps, discount = 3 if preset == "other" else 1, batch["discount"]
+    assert 0 < len(discount) < len(batch["action"]), "some episodes end, others go on"
+    assert abs(discount.max() - 0.99) < 1e-6 and abs(discount.min() - 0.99**steps) < 1e-6
     assert batch["reward"].unique().numel() >= 3, "all three rewards"
     for parameter in policy.values():
         parameter.requires_grad_()

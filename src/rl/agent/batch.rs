@@ -26,19 +26,28 @@ pub struct Batch {
     pub action: Tensor,
     /// What they brought: the return of the steps that the transition spans, `[batch]`.
     pub reward: Tensor,
-    /// What a Q-value after the step is worth, `[batch]`: γ for each step, 0 where the episode
-    /// ended at a hole.
-    pub discount: Tensor,
-    /// `I_A` after the step.
-    pub next_map: Tensor,
-    /// `I_B` after the step.
-    pub next_window: Tensor,
-    /// 1 for actions that are permissible after the step, `[batch, actions]`.
-    pub next_permissible: Tensor,
+    /// The states after the steps.
+    pub next: Next,
     /// The rewards of all actions before the step, `[batch, actions]`, if they are to be learned.
     pub all_rewards: Option<Tensor>,
     /// 1 for actions that would end the episode, `[batch, actions]`, if they are to be learned.
     pub all_terminal: Option<Tensor>,
+}
+
+/// The states after the steps of those transitions of a batch that do not end at a hole: no other
+/// state is worth anything, so no other is looked at.
+#[derive(Debug)]
+pub struct Next {
+    /// Positions of the transitions in the batch, `[nexts]`.
+    pub of: Tensor,
+    /// `I_A`, `[nexts, 3, L, L]`.
+    pub map: Tensor,
+    /// `I_B`, `[nexts, 3, 2l + 1, 2l + 1]`.
+    pub window: Tensor,
+    /// 1 for permissible actions, `[nexts, actions]`.
+    pub permissible: Tensor,
+    /// What a Q-value is worth: γ for each step, `[nexts]`.
+    pub discount: Tensor,
 }
 
 /// Makes batches.
@@ -61,14 +70,6 @@ struct Maps {
     places: HashMap<u32, usize>,
     /// Whether all rewards are learned, or the Q-values of all actions that end the episode.
     learns_all: bool,
-}
-
-/// The numbers of one sample that are the same wherever states are encoded.
-#[derive(Default)]
-struct Sample {
-    next_permissible: Vec<f32>,
-    rewards: Vec<f32>,
-    terminal: Vec<f32>,
 }
 
 /// What a UAV has measured in cells of a map.
@@ -159,46 +160,57 @@ impl Batcher {
             }
             None => vec![Symmetry::IDENTITY; transitions.len()],
         };
-        let turned: Vec<(&Transition, Symmetry)> = transitions.iter().zip(symmetries).collect();
+        let turned: Vec<Turned<'_>> = transitions.iter().zip(symmetries).collect();
+        let goes_on = (0_i64..).zip(&turned).filter(|(_, (transition, _))| !transition.terminal);
+        let (of, going_on): (Vec<i64>, Vec<Turned<'_>>) = goes_on.unzip();
+        let [map, window] = self.turned_states(&turned, Transition::before);
+        let [next_map, next_window] = self.turned_states(&going_on, |transition| &transition.path);
+        let floats = |numbers: &[f32]| upload(numbers, self.device);
+        let count = self.encoder.actions().count() as i64;
         let maps = &self.maps;
-        let samples: Vec<Sample> = turned
-            .par_iter()
-            .map(|&(transition, symmetry)| maps.sample(transition, symmetry))
-            .collect();
-        let states = |visited: fn(&Transition) -> &[Cell]| {
-            let references = turned.iter().map(|&(transition, symmetry)| {
-                let (place, world) = self.maps.place(transition.map);
-                Reference { place, world, visited: visited(transition), symmetry }
-            });
-            self.encode(&references.collect::<Vec<_>>())
+        let permissible: Vec<f32> = going_on.par_iter().flat_map_iter(|at| maps.next(at)).collect();
+        let (rewards, terminal): (Vec<_>, Vec<_>) = if maps.learns_all {
+            turned.par_iter().map(|at| maps.all(at)).unzip()
+        } else {
+            Default::default()
         };
-        let [map, window] = states(Transition::before);
-        let [next_map, next_window] = states(|transition| &transition.path);
-        let per_action = |part: fn(&Sample) -> &[f32]| {
-            let numbers: Vec<f32> = samples.iter().flat_map(part).copied().collect();
-            upload(&numbers, self.device).reshape([samples.len() as i64, -1])
+        let all = |rows: &[Vec<f32>]| floats(&rows.concat()).reshape([-1, count]);
+        let returns = transitions.iter().map(|transition| transition.discounted(self.discount)[0]);
+        let discounts =
+            going_on.iter().map(|(transition, _)| transition.discounted(self.discount)[1]);
+        let single = |numbers: &mut dyn Iterator<Item = f64>| {
+            floats(&numbers.map(|number| number as f32).collect::<Vec<_>>())
         };
-        let actions: Vec<i64> = turned
-            .iter()
-            .map(|&(transition, symmetry)| maps.action(transition, symmetry))
-            .collect();
-        let returns = transitions.iter().map(|transition| transition.discounted(self.discount));
-        let (rewards, discounts): (Vec<f32>, Vec<f32>) =
-            returns.map(|[reward, discount]| (reward as f32, discount as f32)).unzip();
+        let actions: Vec<i64> = turned.iter().map(|at| maps.action(at)).collect();
         Batch {
             map,
             window,
             action: upload(&actions, self.device),
-            reward: upload(&rewards, self.device),
-            discount: upload(&discounts, self.device),
-            next_map,
-            next_window,
-            next_permissible: per_action(|sample| &sample.next_permissible),
-            all_rewards: maps.learns_all.then(|| per_action(|sample| &sample.rewards)),
-            all_terminal: maps.learns_all.then(|| per_action(|sample| &sample.terminal)),
+            reward: single(&mut { returns }),
+            next: Next {
+                of: upload(&of, self.device),
+                map: next_map,
+                window: next_window,
+                permissible: floats(&permissible).reshape([-1, count]),
+                discount: single(&mut { discounts }),
+            },
+            all_rewards: maps.learns_all.then(|| all(&rewards)),
+            all_terminal: maps.learns_all.then(|| all(&terminal)),
         }
     }
+
+    /// `I_A` and `I_B` of a state of each transition.
+    fn turned_states(&self, of: &[Turned<'_>], visited: fn(&Transition) -> &[Cell]) -> [Tensor; 2] {
+        let references = of.iter().map(|&(transition, symmetry)| {
+            let (place, world) = self.maps.place(transition.map);
+            Reference { place, world, visited: visited(transition), symmetry }
+        });
+        self.encode(&references.collect::<Vec<_>>())
+    }
 }
+
+/// A transition, and how it is turned or flipped.
+type Turned<'a> = (&'a Transition, Symmetry);
 
 impl Maps {
     /// A map that is held, and its place.
@@ -207,35 +219,38 @@ impl Maps {
         (place, &self.held[place].1)
     }
 
-    /// The action of a transition that is turned or flipped.
-    fn action(&self, transition: &Transition, symmetry: Symmetry) -> i64 {
+    /// The action of a transition.
+    fn action(&self, &(transition, symmetry): &Turned<'_>) -> i64 {
         let side = self.sight.actions().side();
         let [row, column] = [transition.action / side, transition.action % side];
         let cell = symmetry.of(Cell::new(row as i32, column as i32), side);
         i64::from(cell.row) * side as i64 + i64::from(cell.column)
     }
 
-    fn sample(&self, transition: &Transition, symmetry: Symmetry) -> Sample {
+    /// 1 for actions that are permissible after the step.
+    fn next(&self, &(transition, symmetry): &Turned<'_>) -> Vec<f32> {
         let (_, world) = self.place(transition.map);
-        let actions = self.sight.actions();
-        let turned = |values: &[f32]| {
-            let mut turned = vec![0.0; values.len()];
-            symmetry.copy(values, &mut turned, actions.side());
-            turned
-        };
         let next = *transition.path.last().expect("a step leads somewhere");
-        let allowed = self.sight.permissible(world, next).flags(actions.count());
-        let mut sample = Sample { next_permissible: turned(&allowed), ..Sample::default() };
-        if self.learns_all {
-            let [mut rewards, mut terminal] = [(); 2].map(|()| vec![0.0; actions.count()]);
-            let from = *transition.before().last().expect("a step begins somewhere");
-            let permissible = self.sight.permissible(world, from);
-            rewards_into(&self.sight, world, from, &permissible, |action, reward, ends| {
-                (rewards[action], terminal[action]) = (reward, f32::from(u8::from(ends)));
-            });
-            (sample.rewards, sample.terminal) = (turned(&rewards), turned(&terminal));
-        }
-        sample
+        let set = self.sight.permissible(world, next);
+        self.turn(&set.flags(self.sight.actions().count()), symmetry)
+    }
+
+    /// The rewards of all actions before the step, and 1 for those that would end the episode.
+    fn all(&self, &(transition, symmetry): &Turned<'_>) -> (Vec<f32>, Vec<f32>) {
+        let (_, world) = self.place(transition.map);
+        let [mut rewards, mut terminal] = [(); 2].map(|()| vec![0.0; self.sight.actions().count()]);
+        let from = *transition.before().last().expect("a step begins somewhere");
+        let permissible = self.sight.permissible(world, from);
+        rewards_into(&self.sight, world, from, &permissible, |action, reward, ends| {
+            (rewards[action], terminal[action]) = (reward, f32::from(u8::from(ends)));
+        });
+        (self.turn(&rewards, symmetry), self.turn(&terminal, symmetry))
+    }
+
+    fn turn(&self, values: &[f32], symmetry: Symmetry) -> Vec<f32> {
+        let mut turned = vec![0.0; values.len()];
+        symmetry.copy(values, &mut turned, self.sight.actions().side());
+        turned
     }
 }
 

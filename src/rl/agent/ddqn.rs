@@ -3,7 +3,7 @@
 use tch::{Kind, Reduction, Tensor};
 
 use super::batch::Batch;
-use super::network::{QNetwork, best};
+use super::network::QNetwork;
 use crate::config::{Loss, TrainConfig};
 
 /// The parts of a loss.
@@ -19,20 +19,23 @@ pub struct LossParts {
     pub errors: Tensor,
 }
 
-/// `eq:discounted_reward`: `y = r + γ Q_target(h', argmax_a' Q_policy(h', a'))`: `[batch]`, without
-/// gradient. `discount` is γ, its n-th power if `reward` adds up n steps, or 0 where a hole ended
-/// the episode, since such a state has no value. `q_policy` and `q_target` are the values of all
-/// actions in the next states, `[batch, actions]`; actions outside of `allowed` (0 or 1, the same
-/// shape) are not chosen.
-pub fn target(
-    reward: &Tensor,
-    discount: &Tensor,
-    q_policy: &Tensor,
-    q_target: &Tensor,
-    allowed: Option<&Tensor>,
+/// `eq:discounted_reward`: `y = r + γ Q_target(h', argmax_a' Q_policy(h', a'))`: `[batch]`. A state
+/// that ends the episode at a hole has no value.
+fn target(
+    policy: &QNetwork,
+    target_network: &QNetwork,
+    batch: &Batch,
+    config: &TrainConfig,
 ) -> Tensor {
-    let value = q_target.gather(1, &best(q_policy, allowed, true), false).squeeze_dim(1);
-    (reward + discount * value).detach()
+    let Batch { reward, next, .. } = batch;
+    if next.of.numel() == 0 {
+        return reward.shallow_clone();
+    }
+    let inputs = policy.inputs(&next.map, &next.window);
+    let allowed = config.mask_actions.then_some(&next.permissible);
+    let actions = policy.best_actions(&inputs, allowed);
+    let value = target_network.values_of(&inputs, &actions);
+    reward.index_add(0, &next.of, &(&next.discount * value))
 }
 
 fn error(found: &Tensor, wanted: &Tensor, loss: Loss) -> Tensor {
@@ -53,13 +56,7 @@ pub fn loss(
     weights: Option<&Tensor>,
     config: &TrainConfig,
 ) -> LossParts {
-    let wanted = tch::no_grad(|| {
-        let next = policy.inputs(&batch.next_map, &batch.next_window);
-        let (q_policy, _) = policy.forward(&next);
-        let (q_target, _) = target_network.forward(&next);
-        let allowed = config.mask_actions.then_some(&batch.next_permissible);
-        target(&batch.reward, &batch.discount, &q_policy, &q_target, allowed)
-    });
+    let wanted = tch::no_grad(|| target(policy, target_network, batch, config));
     let (q_values, rewards) = policy.forward(&policy.inputs(&batch.map, &batch.window));
     let taken = q_values.gather(1, &batch.action.unsqueeze(1), false).squeeze_dim(1);
     let errors = error(&taken, &wanted, config.loss);
@@ -67,18 +64,18 @@ pub fn loss(
         Some(weights) => (errors * weights).mean(Kind::Float),
         None => errors.mean(Kind::Float),
     };
-    let mut total = q.shallow_clone();
+    let mut total = q.copy();
     if config.squared_reward > 0.0 {
-        total = total + config.squared_reward * batch.reward.square().mean(Kind::Float);
+        total += config.squared_reward * batch.reward.square().mean(Kind::Float);
     }
     if let Some(ends) = batch.all_terminal.as_ref().filter(|_| config.dense_terminal) {
         let errors = error(&q_values, &q_values.zeros_like(), config.loss) * ends;
-        total = total + errors.sum(Kind::Float) / ends.sum(Kind::Float).clamp_min(1.0);
+        total += errors.sum(Kind::Float) / ends.sum(Kind::Float).clamp_min(1.0);
     }
     let reward = batch.all_rewards.as_ref().zip(rewards);
     let reward = reward.map(|(wanted, found)| found.mse_loss(wanted, Reduction::Mean));
     if let Some(reward) = &reward {
-        total = total + config.reward_prediction * reward;
+        total += config.reward_prediction * reward;
     }
     LossParts { total, q, reward, errors: (taken - wanted).detach() }
 }

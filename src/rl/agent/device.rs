@@ -58,17 +58,38 @@ impl DeviceChoice {
 /// Loads what libtorch needs for CUDA, and keeps it for as long as the program runs.
 #[cfg(target_os = "linux")]
 fn load_cuda() -> Result<(), String> {
+    use std::error::Error;
+
     use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_NOW};
     // SAFETY: the library is that of the libtorch in use, whose initialisation is meant to run here.
     #[allow(unsafe_code, reason = "loading a library runs its initialisation")]
     let library = unsafe { Library::open(Some(CUDA_LIBRARY), RTLD_NOW | RTLD_GLOBAL) };
-    library.map(std::mem::forget).map_err(|error| error.to_string())
+    let reason = |error: libloading::Error| match error.source() {
+        Some(reason) => reason.to_string(),
+        None => error.to_string(),
+    };
+    library.map(std::mem::forget).map_err(reason)
 }
 
 /// Elsewhere nothing is loaded that was not linked.
 #[cfg(not(target_os = "linux"))]
 fn load_cuda() -> Result<(), String> {
     Ok(())
+}
+
+/// Tells the C library to keep memory that tensors have given back for the next ones. It would return
+/// large pieces to the system each time, and get them back page by page: a tenth of all time.
+pub(super) fn keep_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    {
+        const KEPT: i32 = 1 << 30;
+        #[allow(unsafe_code, reason = "a function of the C library that takes two numbers")]
+        // SAFETY: mallopt may be called at any time, and refuses what it cannot do.
+        let kept = unsafe {
+            [libc::M_MMAP_THRESHOLD, libc::M_TRIM_THRESHOLD].map(|what| libc::mallopt(what, KEPT))
+        };
+        debug_assert_eq!(kept, [1, 1], "both limits are raised");
+    }
 }
 
 /// What a network computes with.

@@ -10,55 +10,16 @@
 use tch::{Device, Kind, Tensor};
 
 use super::device::{Computing, upload};
+use super::layer::{Layer, Part, conv, transposed};
 use crate::config::TrainConfig;
 use crate::rl::Random;
 
 const WEIGHTS: u64 = 11;
 
-/// One layer: name, whether it is transposed, kernel, stride, padding.
-struct Layer {
-    name: &'static str,
-    transposed: bool,
-    kernel: i64,
-    stride: i64,
-    padding: i64,
-}
-
-const fn conv(name: &'static str, kernel: i64, stride: i64) -> Layer {
-    Layer { name, transposed: false, kernel, stride, padding: kernel / 2 }
-}
-
-const fn transposed(name: &'static str, stride: i64) -> Layer {
-    Layer { name, transposed: true, kernel: 3, stride, padding: 1 }
-}
-
 const MAP: [Layer; 4] =
     [conv("map.0", 5, 2), conv("map.1", 3, 2), conv("map.2", 3, 2), transposed("map.3", 2)];
 const WINDOW: [Layer; 2] = [conv("window.0", 3, 1), conv("window.1", 3, 1)];
 const HEAD: [Layer; 2] = [transposed("head.0", 1), transposed("head.1", 1)];
-
-impl Layer {
-    /// Cells along a side after the layer.
-    fn side(&self, side: i64) -> i64 {
-        if self.transposed {
-            (side - 1) * self.stride - 2 * self.padding + self.kernel
-        } else {
-            (side + 2 * self.padding - self.kernel) / self.stride + 1
-        }
-    }
-
-    fn apply(&self, input: &Tensor, [weight, bias]: [&Tensor; 2]) -> Tensor {
-        let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
-        if self.transposed {
-            // oneDNN is ten times slower if it is to add the bias to numbers of 16 bits itself.
-            let none = None::<Tensor>;
-            let out = input.conv_transpose2d(weight, none, stride, padding, [0, 0], 1, [1, 1]);
-            out + bias.view([-1, 1, 1])
-        } else {
-            input.conv2d(weight, Some(bias), stride, padding, [1, 1], 1)
-        }
-    }
-}
 
 /// Maps that the network cannot take.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
@@ -259,6 +220,13 @@ impl QNetwork {
         self.change(|learned| learned.copy_(&Tensor::cat(&row, 0)));
     }
 
+    /// Weights and biases of the layers over the map, over the window, of the head, of the value.
+    fn pairs(&self) -> [Vec<[&Tensor; 2]>; 4] {
+        let mut pairs = self.working.chunks_exact(2).map(|pair| [&pair[0], &pair[1]]);
+        let mut next = |count| pairs.by_ref().take(count).collect();
+        [next(MAP.len()), next(WINDOW.len()), next(HEAD.len()), next(1)]
+    }
+
     /// Prepares a batch: `map` is `[batch, 3, L, L]`, `window` `[batch, 3, 2l + 1, 2l + 1]`.
     #[must_use]
     pub fn inputs(&self, map: &Tensor, window: &Tensor) -> Inputs {
@@ -273,11 +241,7 @@ impl QNetwork {
     /// Q-values of all actions, `[batch, (2l + 1)²]`, and the predicted rewards if there is a head
     /// for them; `float32`.
     pub fn forward(&self, inputs: &Inputs) -> (Tensor, Option<Tensor>) {
-        let parameters: Vec<[&Tensor; 2]> =
-            self.working.chunks_exact(2).map(|pair| [&pair[0], &pair[1]]).collect();
-        let (of_map, rest) = parameters.split_at(MAP.len());
-        let (of_window, rest) = rest.split_at(WINDOW.len());
-        let (of_head, of_value) = rest.split_at(HEAD.len());
+        let [of_map, of_window, of_head, of_value] = &self.pairs();
         let through = |input: &Tensor, layers: &[Layer], parameters: &[[&Tensor; 2]]| {
             let layers = layers.iter().zip(parameters);
             layers.fold(input.shallow_clone(), |input, (layer, &parameters)| {
@@ -289,10 +253,10 @@ impl QNetwork {
         let hidden = through(&Tensor::cat(&[map, window], 1), &HEAD[..1], &of_head[..1]);
         let out = HEAD[1].apply(&hidden, of_head[1]).to_kind(Kind::Float);
         let channel = |at| out.select(1, at).flatten(1, 2);
-        let q_values = match of_value {
+        let q_values = match of_value[..] {
             [[weight, bias]] => {
                 let means = hidden.mean_dim(&[2_i64, 3][..], false, None);
-                let value = means.linear(weight, Some(*bias)).to_kind(Kind::Float);
+                let value = means.linear(weight, Some(bias)).to_kind(Kind::Float);
                 let advantages = channel(0);
                 let mean = advantages.mean_dim(1, true, None);
                 advantages - mean + value
@@ -302,15 +266,48 @@ impl QNetwork {
         (q_values, self.has_reward_head.then(|| channel(1)))
     }
 
+    /// The Q-value of one action for each state: `actions` and the result are `[batch]`. It depends on
+    /// a small part of the inputs, which is all that is computed: a twentieth of a whole pass.
+    pub fn values_of(&self, inputs: &Inputs, actions: &Tensor) -> Tensor {
+        if self.is_dueling {
+            // The value of a state depends on all of it.
+            let (q_values, _) = self.forward(inputs);
+            return q_values.gather(1, &actions.unsqueeze(1), false).squeeze_dim(1);
+        }
+        let [of_map, of_window, of_head, _] = &self.pairs();
+        let side = inputs.window.size()[3];
+        let out = Part::cells(actions, side);
+        let hidden = HEAD[1].source(&out);
+        let joined = HEAD[0].source(&hidden);
+        let map = local(&inputs.map, &MAP, of_map, &joined);
+        let window = local(&inputs.window, &WINDOW, of_window, &joined);
+        let features = Tensor::cat(&[map, window], 1);
+        let features = HEAD[0].apply_to_part(&features, of_head[0], &joined, &hidden).relu_();
+        let features = hidden.inside(&features, side);
+        let outputs = HEAD[1].apply_to_part(&features, of_head[1], &hidden, &out);
+        outputs.select(1, 0).flatten(0, -1).to_kind(Kind::Float)
+    }
+
     /// The first of the allowed actions with the greatest Q-value, for each state: `[batch]`.
     /// Actions where `allowed`, `[batch, actions]`, is 0 are left out.
     pub fn best_actions(&self, inputs: &Inputs, allowed: Option<&Tensor>) -> Tensor {
-        tch::no_grad(|| best(&self.forward(inputs).0, allowed, false))
+        tch::no_grad(|| best(&self.forward(inputs).0, allowed))
     }
 }
 
+/// A part of what layers make of a batch, computed from what it depends on.
+fn local(inputs: &Tensor, layers: &[Layer], parameters: &[[&Tensor; 2]], part: &Part) -> Tensor {
+    let [rest @ .., layer] = layers else { return part.cut(inputs) };
+    let (rest_parameters, own) = parameters.split_at(rest.len());
+    let source = layer.source(part);
+    let below = local(inputs, rest, rest_parameters, &source);
+    let side = layers.iter().fold(inputs.size()[3], |side, layer| layer.side(side));
+    let out = layer.apply_to_part(&below, own[0], &source, part).relu_();
+    part.inside(&out, side)
+}
+
 /// The actions with the greatest values, of the allowed ones if only some are.
-pub(super) fn best(q_values: &Tensor, allowed: Option<&Tensor>, keep_dim: bool) -> Tensor {
+pub(super) fn best(q_values: &Tensor, allowed: Option<&Tensor>) -> Tensor {
     let masked = allowed.map(|allowed| q_values.masked_fill(&allowed.eq(0.0), f64::NEG_INFINITY));
-    masked.as_ref().unwrap_or(q_values).argmax(1, keep_dim)
+    masked.as_ref().unwrap_or(q_values).argmax(1, false)
 }

@@ -3,23 +3,15 @@ use tch::{Device, Kind, Tensor};
 use super::*;
 use crate::config::{Precision, TrainConfig};
 
-/// `eq:discounted_reward` by hand: two states of three actions.
 #[test]
-fn targets_by_hand() {
-    let reward = Tensor::from_slice(&[-0.25_f32, -1.25]);
-    let q_policy = Tensor::from_slice2(&[[1.0_f32, 3.0, 2.0], [5.0, 4.0, 6.0]]);
-    let q_target = Tensor::from_slice2(&[[10.0_f32, 20.0, 30.0], [7.0, 8.0, 9.0]]);
-    let found = |discount: [f32; 2], allowed: Option<[[f32; 3]; 2]>| -> Vec<f32> {
-        let discount = Tensor::from_slice(&discount);
+fn actions_are_chosen_among_those_allowed() {
+    let q_values = Tensor::from_slice2(&[[1.0_f32, 3.0, 2.0], [5.0, 4.0, 6.0]]);
+    let found = |allowed: Option<[[f32; 3]; 2]>| -> Vec<i64> {
         let allowed = allowed.map(|allowed| Tensor::from_slice2(&allowed));
-        let y = target(&reward, &discount, &q_policy, &q_target, allowed.as_ref());
-        Vec::try_from(&y).expect("numbers")
+        Vec::try_from(super::network::best(&q_values, allowed.as_ref())).expect("numbers")
     };
-    // The policy chooses (actions 1 and 2), the target values: 20 and 9.
-    assert_eq!(found([0.5, 0.25], None), [-0.25 + 0.5 * 20.0, -1.25 + 0.25 * 9.0]);
-    assert_eq!(found([0.5, 0.0], None), [-0.25 + 0.5 * 20.0, -1.25]);
-    let allowed = [[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]];
-    assert_eq!(found([0.5, 0.5], Some(allowed)), [-0.25 + 0.5 * 30.0, -1.25 + 0.5 * 8.0]);
+    assert_eq!(found(None), [1, 2]);
+    assert_eq!(found(Some([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])), [2, 1]);
 }
 
 fn network(config: &TrainConfig) -> QNetwork {
@@ -126,4 +118,25 @@ fn networks_have_the_shape_of_the_design_and_seeded_weights() {
         [121, 31].map(|side| Tensor::zeros([2, 3, side, side], (Kind::Float, Device::Cpu)));
     let (q_values, rewards) = a.forward(&a.inputs(&inputs[0], &inputs[1]));
     assert_eq!((q_values.size(), rewards.is_none()), (vec![2, 961], true));
+}
+
+/// The part that a Q-value depends on gives that Q-value, at borders and corners too.
+#[test]
+fn values_of_single_actions_are_those_of_a_whole_pass() {
+    let config = TrainConfig { widths: [3, 4, 5, 6, 3, 4, 5], ..small() };
+    for dueling in [false, true] {
+        let network = network(&TrainConfig { dueling, ..config.clone() });
+        let options = (Kind::Float, Device::Cpu);
+        let inputs = [121, 31].map(|side| Tensor::rand([31, 3, side, side], options) - 0.5);
+        let inputs = network.inputs(&inputs[0], &inputs[1]);
+        let all = tch::no_grad(|| network.forward(&inputs).0);
+        for row in 0..31 {
+            // Another action for each of the 31 states: a row of the square.
+            let actions = Tensor::arange(31, (Kind::Int64, Device::Cpu)) + 31 * row;
+            let found = tch::no_grad(|| network.values_of(&inputs, &actions));
+            let expected = all.gather(1, &actions.unsqueeze(1), false).squeeze_dim(1);
+            let off = (found - expected).abs().max().double_value(&[]);
+            assert!(off < 1e-6, "row {row}: {off}");
+        }
+    }
 }

@@ -13,7 +13,7 @@ use super::adam::Adam;
 use super::batch::{Batcher, flags};
 use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory, Run};
 use super::ddqn::loss;
-use super::device::upload;
+use super::device::{keep_freed_memory, upload};
 use super::network::{QNetwork, ShapeError};
 use super::report::{Totals, TotalsState, TrainReport};
 use crate::config::{RlConfig, TrainConfig};
@@ -104,6 +104,7 @@ impl<'a> Trainer<'a> {
     /// If there is nothing to learn, or the network does not fit the maps.
     pub fn new(job: TrainJob<'a>, pool: MapPool) -> Result<Self, TrainError> {
         let TrainJob { rl, train, device, .. } = job;
+        keep_freed_memory();
         let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
         let episodes = train.episodes as usize;
         let environment = Environment::new(&maps, episodes, rl.max_steps, train.seed)?;
@@ -352,7 +353,10 @@ impl<'a> Trainer<'a> {
     }
 
     /// One step of all episodes, ε-greedy, into the replay.
-    fn act(&mut self) -> Result<(), PoolError> {
+    ///
+    /// # Errors
+    /// If a map cannot be read.
+    pub fn act(&mut self) -> Result<(), PoolError> {
         let train = self.job.train;
         if self.counters.steps > 0 && self.counters.steps.is_multiple_of(train.refresh_every.into())
         {
