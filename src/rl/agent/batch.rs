@@ -1,5 +1,6 @@
 //! From references in the replay to tensors: states are encoded when they are sampled.
 
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -55,6 +56,7 @@ pub struct Next {
 pub struct Batcher {
     maps: Maps,
     encoder: Encoder,
+    buffers: RefCell<Buffers>,
     device: Device,
     /// If states are encoded elsewhere than on the CPU.
     on_device: Option<DeviceEncoder>,
@@ -97,7 +99,14 @@ impl Batcher {
         let (sight, places) = (Sight::new(rl.reach_cells), HashMap::new());
         let learns_all = train.reward_prediction > 0.0 || train.dense_terminal;
         let held = Maps { sight, held: maps.clone(), places, learns_all };
-        let mut batcher = Self { maps: held, encoder, device, on_device, discount: train.discount };
+        let mut batcher = Self {
+            maps: held,
+            encoder,
+            buffers: RefCell::default(),
+            device,
+            on_device,
+            discount: train.discount,
+        };
         for (place, (number, map)) in maps.into_iter().enumerate() {
             batcher.replace(place, number, map);
         }
@@ -143,7 +152,8 @@ impl Batcher {
             measurements,
             symmetry: state.symmetry,
         });
-        encode_states(&self.encoder, &states.collect::<Vec<_>>(), self.device)
+        let (states, buffers) = (states.collect::<Vec<_>>(), &mut self.buffers.borrow_mut());
+        encode_states(&self.encoder, &states, self.device, buffers)
     }
 
     /// A batch of transitions; with `augment` each is turned or flipped as the keyed random
@@ -254,16 +264,6 @@ impl Maps {
     }
 }
 
-/// `I_A` and `I_B` of flights, with the levels that they have measured.
-pub(super) fn encode_views(
-    encoder: &Encoder,
-    views: &[View<'_, '_>],
-    device: Device,
-) -> [Tensor; 2] {
-    let states = views.iter().map(|view| State::new(view.known, view.flight.measurements()));
-    encode_states(encoder, &states.collect::<Vec<_>>(), device)
-}
-
 /// 1 for the actions in each set, of `count` actions: `[sets, actions]`.
 pub(super) fn flags<'a>(
     sets: impl Iterator<Item = &'a ActionSet>,
@@ -274,14 +274,32 @@ pub(super) fn flags<'a>(
     upload(&flags, device).reshape([-1, count as i64])
 }
 
+/// `I_A` and `I_B` of flights, with the levels that they have measured.
+pub(super) fn encode_views(
+    encoder: &Encoder,
+    views: &[View<'_, '_>],
+    device: Device,
+) -> [Tensor; 2] {
+    let states = views.iter().map(|view| State::new(view.known, view.flight.measurements()));
+    encode_states(encoder, &states.collect::<Vec<_>>(), device, &mut Buffers::default())
+}
+
+/// Numbers of `I_A` and `I_B`, kept so that memory need not be had anew for each batch.
+type Buffers = [Vec<f32>; 2];
+
 /// States encoded by the CPU.
-fn encode_states(encoder: &Encoder, states: &[State<'_>], device: Device) -> [Tensor; 2] {
-    let mut maps = vec![0.0; states.len() * encoder.map_len()];
-    let mut windows = vec![0.0; states.len() * encoder.window_len()];
-    encoder.encode_batch(states, &mut maps, &mut windows);
+fn encode_states(
+    encoder: &Encoder,
+    states: &[State<'_>],
+    device: Device,
+    [maps, windows]: &mut Buffers,
+) -> [Tensor; 2] {
+    maps.resize(states.len() * encoder.map_len(), 0.0);
+    windows.resize(states.len() * encoder.window_len(), 0.0);
+    encoder.encode_batch(states, maps, windows);
     let [cells, side] = [encoder.cells(), encoder.actions().side()].map(|side| side as i64);
     [
-        upload(&maps, device).reshape([-1, 3, cells, cells]),
-        upload(&windows, device).reshape([-1, 3, side, side]),
+        upload(maps, device).reshape([-1, 3, cells, cells]),
+        upload(windows, device).reshape([-1, 3, side, side]),
     ]
 }

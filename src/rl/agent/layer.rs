@@ -49,10 +49,14 @@ impl Layer {
         if !self.transposed {
             return input.conv2d(weight, Some(bias), stride, padding, [1, 1], 1);
         }
+        let with = |bias: Option<&Tensor>| {
+            input.conv_transpose2d(weight, bias, stride, padding, [0, 0], 1, [1, 1])
+        };
+        if self.stride == 1 {
+            return with(Some(bias));
+        }
         // oneDNN is ten times slower if it is to add the bias to numbers of 16 bits itself.
-        let none = None::<Tensor>;
-        let out = input.conv_transpose2d(weight, none, stride, padding, [0, 0], 1, [1, 1]);
-        out + bias.view([-1, 1, 1])
+        with(None).g_add_(&bias.view([-1, 1, 1]))
     }
 
     /// The part of the input that a part of the output depends on.

@@ -1,0 +1,101 @@
+//! The pool of maps that training takes place on: all of a split, or a part that changes.
+
+mod pipeline;
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use holescout::config::{RlConfig, Split};
+use holescout::dataset::Dataset;
+use holescout::rl::{MapPool, World, load_sample, load_split};
+
+use pipeline::{HELSINKI, assert_says};
+
+const HELD: usize = 3;
+
+fn dataset() -> Arc<Dataset> {
+    Arc::new(Dataset::open(&HELSINKI.dataset).expect("opened"))
+}
+
+fn pool(dataset: &Arc<Dataset>, maps: usize, seed: u64) -> MapPool {
+    let bytes = maps * World::bytes(dataset.manifest().cells as usize);
+    MapPool::of_split(dataset, Split::Train, &RlConfig::default(), bytes, seed).expect("a pool")
+}
+
+fn numbers(pool: &MapPool) -> Vec<u32> {
+    pool.maps().iter().map(|&(number, _)| number).collect()
+}
+
+#[test]
+fn a_split_that_fits_is_held_in_the_order_of_its_names() {
+    let dataset = dataset();
+    let all = load_split(&dataset, Split::Train, &RlConfig::default()).expect("loaded");
+    assert!(all.len() > HELD);
+    let mut pool = pool(&dataset, all.len(), 0);
+    assert!(!pool.is_streamed());
+    for (number, map) in pool.maps() {
+        assert_eq!(map.id(), all[*number as usize].id());
+    }
+    assert_eq!(pool.refresh().expect("nothing to read"), None);
+    let state = pool.state();
+    assert!(pool.restore(&state).expect("nothing to read"));
+}
+
+#[test]
+fn a_part_of_a_split_changes_until_all_maps_were_there() {
+    let dataset = dataset();
+    let all = load_split(&dataset, Split::Train, &RlConfig::default()).expect("loaded");
+    let mut pool = pool(&dataset, HELD, 0);
+    assert!(pool.is_streamed());
+    let mut seen: BTreeSet<u32> = numbers(&pool).into_iter().collect();
+    assert_eq!(seen.len(), HELD);
+    for refreshed in 0..3 * all.len() {
+        let before = numbers(&pool);
+        let place = pool.refresh().expect("read").expect("another map");
+        assert_eq!(place, refreshed % HELD, "the one that is there for longest");
+        let after = numbers(&pool);
+        assert!(!before.contains(&after[place]), "one that was not there");
+        let (number, map) = &pool.maps()[place];
+        assert_eq!(map.id(), all[*number as usize].id());
+        seen.insert(*number);
+    }
+    let usable = all.iter().filter(|map| map.can_teach()).count();
+    assert_eq!(seen.len(), usable);
+}
+
+#[test]
+fn a_restored_pool_goes_on_as_the_saved_one() {
+    let dataset = dataset();
+    let mut saved = pool(&dataset, HELD, 1);
+    for _ in 0..4 {
+        saved.refresh().expect("read");
+    }
+    let state = saved.state();
+    let mut restored = pool(&dataset, HELD, 1);
+    assert_ne!(numbers(&restored), numbers(&saved));
+    assert!(restored.restore(&state).expect("read"));
+    for _ in 0..10 {
+        assert_eq!(numbers(&restored), numbers(&saved));
+        assert_eq!(restored.refresh().expect("read"), saved.refresh().expect("read"));
+    }
+    let mut other = pool(&dataset, HELD + 1, 1);
+    let before = numbers(&other);
+    assert!(!other.restore(&state).expect("nothing to read"), "of another size");
+    assert_eq!(numbers(&other), before);
+}
+
+#[test]
+fn samples_are_the_same_each_time_and_empty_splits_are_refused() {
+    let (dataset, config) = (dataset(), RlConfig::default());
+    let sample = |count, seed| {
+        let maps = load_sample(&dataset, Split::Train, &config, count, seed).expect("loaded");
+        maps.iter().map(|map| map.id()).collect::<Vec<_>>()
+    };
+    assert_eq!(sample(3, 0), sample(3, 0));
+    assert!(sample(3, 0).is_sorted());
+    assert!((1..9).any(|seed| sample(3, seed) != sample(3, 0)));
+    let all = load_split(&dataset, Split::Train, &config).expect("loaded");
+    assert_eq!(sample(1000, 5), all.iter().map(|map| map.id()).collect::<Vec<_>>());
+    let empty = load_sample(&dataset, Split::Test, &config, 3, 0).expect_err("no test split");
+    assert_says(&empty.to_string(), &["test split", "no records"]);
+}
