@@ -8,8 +8,10 @@ use std::time::Instant;
 
 use holescout::config::{RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
-use holescout::rl::agent::{Adam, Batch, Batcher, DeviceChoice, QNetwork, TrainJob, Trainer, loss};
-use holescout::rl::{Cell, MapPool, Random, Transition};
+use holescout::rl::agent::{
+    Adam, Batch, Batcher, QNetwork, TrainJob, Trainer, keep_freed_memory, loss,
+};
+use holescout::rl::{Cell, MapPool, MapSource, Random, Transition};
 use tch::{Device, Kind, Tensor};
 
 const REPETITIONS: usize = 30;
@@ -34,12 +36,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("usage: train DATASET [SECONDS]".into());
     };
     let seconds = rest.first().map(|text| text.parse::<f64>()).transpose()?;
-    let device = DeviceChoice::Auto.device()?;
+    let device = Device::Cpu;
+    keep_freed_memory();
     let dataset = Arc::new(Dataset::open(dataset.as_ref())?);
     let rl = RlConfig::default();
     // The exploration of a run's second half; all of it would make acting free.
     let train = TrainConfig { epsilon_start: 0.05, warmup: 1024, ..TrainConfig::default() };
-    let pool = || MapPool::of_split(&dataset, Split::Train, &rl, 1 << 30, 0);
+    let pool = || MapSource::split(&dataset, Split::Train, &rl, 1 << 30, 0).fill();
     let job = TrainJob { dataset_sha256: "", rl: &rl, train: &train, device };
     let mut trainer = Trainer::new(job, pool()?)?;
     (0..5).try_for_each(|_| trainer.update())?;

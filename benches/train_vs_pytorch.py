@@ -4,7 +4,7 @@ All learn the same task from the same dataset with the same network, batches of 
 each update; exploration is as at its end (5 %).
 
 - plain: as one would write it after CleanRL's dqn.py, see peer_plain.py.
-- tuned: with all that Holescout does, as a specialist would write it, see peer_tuned.py.
+- tuned: with nearly all that Holescout does, as a specialist would write it, see peer_tuned.py.
 
 Each peer has a process of its own; all are warmed up, and take turns. HOLESCOUT_DATASET names the dataset,
 TRAIN_BENCH a program that takes DATASET SECONDS, measures the same and prints
@@ -94,8 +94,11 @@ def main() -> None:
     maps = load_maps(dataset)
     check(dataset, maps)
 
-    # NumPy's threads must not compete with PyTorch's for the cores: its products here are small.
+    # NumPy's threads must not compete with PyTorch's for the cores: its products here are small. Freed memory is kept, as
+    # Holescout does; otherwise large tensors are had from the system page by page.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", str(1 << 30))
+    os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", str(1 << 33))
     context = multiprocessing.get_context("spawn")
     works: dict[str, Callable[[float], Rates]] = {}
     if "TRAIN_BENCH" in os.environ:
@@ -110,9 +113,10 @@ def main() -> None:
         connections.append(here)
         works[name] = partial(run_peer, here)
     rates: dict[str, list[Rates]] = {name: [] for name in works}
-    for _ in range(options.repetitions):
-        for name, work in works.items():
-            rates[name].append(work(options.seconds))
+    for turn in range(options.repetitions):
+        names = list(works)
+        for name in names[turn % len(names):] + names[:turn % len(names)]:
+            rates[name].append(works[name](options.seconds))
     for here in connections:
         here.send(None)
 

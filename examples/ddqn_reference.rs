@@ -10,7 +10,7 @@ use std::sync::Arc;
 use holescout::config::{Precision, RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
 use holescout::rl::agent::{Batcher, QNetwork, load_weights, loss};
-use holescout::rl::{Environment, MapPool, Random, Recent, load_split};
+use holescout::rl::{Environment, MapSource, Random, Recent, load_split};
 use tch::{Device, Kind, Tensor};
 
 const BATCH: usize = 16;
@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let train = TrainConfig { precision: Precision::Float32, ..preset };
     let dataset = Dataset::open(dataset.as_ref())?;
-    let pool = MapPool::fixed(load_split(&dataset, Split::Train, &rl)?)?;
+    let pool = MapSource::maps(load_split(&dataset, Split::Train, &rl)?).fill()?;
     let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
     let mut environment = Environment::new(&maps, BATCH, rl.max_steps, 3)?;
     let mut random = Random::keyed(&[4]);

@@ -8,9 +8,10 @@ use holescout::dataset::Dataset;
 use holescout::evaluate::precision;
 use holescout::progress::Progress;
 use holescout::rl::agent::{
-    Agent, MemoryNeed, Pace, QNetwork, TrainJob, TrainReport, Trainer, Watch, train,
+    Agent, MemoryNeed, Pace, QNetwork, TrainJob, TrainReport, Trainer, Watch, keep_freed_memory,
+    train,
 };
-use holescout::rl::{MapPool, World, load_sample};
+use holescout::rl::{MapSource, World, load_sample};
 use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -23,13 +24,14 @@ const JUDGED_STEPS: [u32; 3] = [1, 2, 4];
 
 pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Result<Report, Failure> {
     let Config { rl, train: how, .. } = config;
+    keep_freed_memory();
     let device = args.device.choice().device()?;
     let dataset = Arc::new(Dataset::open(&args.dataset)?);
     let need = MemoryNeed::new(&dataset, config, device)?;
     need.demand()?;
     let val_maps = load_sample(&dataset, Split::Val, rl, how.evaluate_maps as usize, how.seed)?;
     let memory = how.map_memory_mb as usize * 1_000_000;
-    let pool = MapPool::of_split(&dataset, Split::Train, rl, memory, how.seed)?;
+    let maps = MapSource::split(&dataset, Split::Train, rl, memory, how.seed);
     let digest = dataset.digest();
     let job = TrainJob { dataset_sha256: &digest.sha256, rl, train: how, device };
     let stopped = Arc::new(AtomicBool::new(false));
@@ -39,9 +41,9 @@ pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Resul
     let mut judging = config.clone();
     judging.evaluate.steps = JUDGED_STEPS.to_vec();
     judging.evaluate.starts = how.evaluate_starts;
-    let (maps, stopped) = (&val_maps[..], &*stopped);
-    let mut watch = Watching { console, config, judging, maps, stopped, need: &need };
-    let ended = train(job, pool, &args.run, &mut watch)?;
+    let (need, stopped) = (&need, &*stopped);
+    let mut watch = Watching { console, config, judging, maps: &val_maps, stopped, need };
+    let ended = train(job, maps, &args.run, &mut watch)?;
     console.end();
     let state = if ended.complete { "done" } else { "saved, run again to go on" };
     let best = ended.best.map_or_else(String::new, |(score, update)| {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use holescout::config::{RlConfig, Split};
 use holescout::dataset::Dataset;
-use holescout::rl::{MapPool, World, load_sample, load_split};
+use holescout::rl::{MapPool, MapSource, World, load_sample, load_split};
 
 use pipeline::{HELSINKI, assert_says};
 
@@ -17,9 +17,13 @@ fn dataset() -> Arc<Dataset> {
     Arc::new(Dataset::open(&HELSINKI.dataset).expect("opened"))
 }
 
-fn pool(dataset: &Arc<Dataset>, maps: usize, seed: u64) -> MapPool {
+fn source(dataset: &Arc<Dataset>, maps: usize, seed: u64) -> MapSource {
     let bytes = maps * World::bytes(dataset.manifest().cells as usize);
-    MapPool::of_split(dataset, Split::Train, &RlConfig::default(), bytes, seed).expect("a pool")
+    MapSource::split(dataset, Split::Train, &RlConfig::default(), bytes, seed)
+}
+
+fn pool(dataset: &Arc<Dataset>, maps: usize, seed: u64) -> MapPool {
+    source(dataset, maps, seed).fill().expect("a pool")
 }
 
 fn numbers(pool: &MapPool) -> Vec<u32> {
@@ -37,8 +41,8 @@ fn a_split_that_fits_is_held_in_the_order_of_its_names() {
         assert_eq!(map.id(), all[*number as usize].id());
     }
     assert_eq!(pool.refresh().expect("nothing to read"), None);
-    let state = pool.state();
-    assert!(pool.restore(&state).expect("nothing to read"));
+    let restored = source(&dataset, all.len(), 0).restore(&pool.state()).expect("read");
+    assert_eq!(restored.map(|pool| numbers(&pool)), Some(numbers(&pool)));
 }
 
 #[test]
@@ -71,17 +75,14 @@ fn a_restored_pool_goes_on_as_the_saved_one() {
         saved.refresh().expect("read");
     }
     let state = saved.state();
-    let mut restored = pool(&dataset, HELD, 1);
-    assert_ne!(numbers(&restored), numbers(&saved));
-    assert!(restored.restore(&state).expect("read"));
+    assert_ne!(numbers(&pool(&dataset, HELD, 1)), numbers(&saved));
+    let restored = |held| source(&dataset, held, 1).restore(&state).expect("read");
+    assert!(restored(HELD + 1).is_none(), "of another size");
+    let mut restored = restored(HELD).expect("the same size");
     for _ in 0..10 {
         assert_eq!(numbers(&restored), numbers(&saved));
         assert_eq!(restored.refresh().expect("read"), saved.refresh().expect("read"));
     }
-    let mut other = pool(&dataset, HELD + 1, 1);
-    let before = numbers(&other);
-    assert!(!other.restore(&state).expect("nothing to read"), "of another size");
-    assert_eq!(numbers(&other), before);
 }
 
 #[test]

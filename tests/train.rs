@@ -13,7 +13,7 @@ use holescout::dataset::{Dataset, Grids};
 use holescout::evaluate::precision;
 use holescout::rl::agent::{Agent, TrainJob, Trainer};
 use holescout::rl::policy::{MakePolicy, Policy, RandomWalk};
-use holescout::rl::{MapPool, World};
+use holescout::rl::{MapSource, World};
 use ndarray::Array2;
 use serde_json::Value;
 use tch::Device;
@@ -85,9 +85,12 @@ fn killed_runs_end_in_the_same_weights_and_log() {
         let again = dir.path().join("again");
         run(&mut train(&again, &config, &[])).succeeds();
         assert_eq!(weights(&again), weights(&whole), "the same seed twice");
-        kill_until_done(&mut Random(seed), || train(&killed, &config, &[]));
-        run(&mut train(&killed, &config, &[])).succeeds();
-        assert_eq!(weights(&killed), weights(&whole));
+        let kills = kill_until_done(&mut Random(seed), &killed, || train(&killed, &config, &[]));
+        assert!(kills >= 5, "killed {kills} times only");
+        for file in ["weights.safetensors", "learning.safetensors", "state.msgpack"] {
+            let last = |run: &Path| read(&run.join("checkpoints/000000024").join(file));
+            assert!(last(&killed) == last(&whole), "{file}");
+        }
         assert_eq!(log(&killed), log(&whole));
         for directory in [&killed, &killed.join("checkpoints")] {
             let names = std::fs::read_dir(directory).expect("listed").flatten();
@@ -95,24 +98,62 @@ fn killed_runs_end_in_the_same_weights_and_log() {
             let mut left = names.filter(|name| name.starts_with(".holescout-checkpoint"));
             assert_eq!(left.next(), None, "nothing half-written is left");
         }
+        assert_eq!(
+            read(&killed.join("best/weights.safetensors")),
+            read(&whole.join("best/weights.safetensors"))
+        );
         // A finished run has nothing left to do.
         let done = run(&mut train(&killed, &config, &[])).succeeds();
         assert_says(&done, &["24 updates, done"]);
     }
 }
 
-/// Kills a run at random moments until one ends by itself, at most 20 times.
-fn kill_until_done(random: &mut Random, command: impl Fn() -> Command) {
-    for kills in 0..20 {
-        let mut child = command().stderr(Stdio::null()).stdout(Stdio::null()).spawn();
-        let child = child.as_mut().expect("started");
-        std::thread::sleep(Duration::from_millis(200 + random.below(1200) as u64));
+/// Kills a run at random moments, each soon after it has written a checkpoint, until one ends by
+/// itself; returns how many were killed.
+fn kill_until_done(random: &mut Random, out: &Path, command: impl Fn() -> Command) -> u32 {
+    let newest = || {
+        let entries = std::fs::read_dir(out.join("checkpoints")).into_iter().flatten().flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        names.filter(|name| !name.starts_with('.')).max()
+    };
+    for kills in 0.. {
+        let before = newest();
+        let mut child = command();
+        let mut child = child.stderr(Stdio::null()).stdout(Stdio::null()).spawn().expect("started");
+        while newest() == before && child.try_wait().expect("a child").is_none() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        std::thread::sleep(Duration::from_millis(random.below(60) as u64));
         child.kill().expect("killed");
         if child.wait().expect("gone").success() {
-            assert!(kills > 0, "it was never killed");
-            return;
+            return kills;
         }
     }
+    unreachable!("every start comes closer to the end")
+}
+
+#[test]
+fn a_terminated_run_saves_first() {
+    let dir = temporary_dir();
+    let config = dir.path().join("small.toml");
+    write(&config, SMALL);
+    let out = dir.path().join("run");
+    let options = ["--updates", "100000", "--checkpoint-every", "100000", "--json"];
+    let mut child = train(&out, &config, &options);
+    let child = child.stdout(Stdio::piped()).spawn().expect("started");
+    // The first judgement was made: training is under way, and no checkpoint is due.
+    while !out.join("best").exists() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let terminated = Command::new("kill").arg(child.id().to_string()).status();
+    assert!(terminated.expect("sent").success());
+    let ended = child.wait_with_output().expect("gone");
+    assert!(ended.status.success(), "{ended:?}");
+    let summary: Value = serde_json::from_slice(&ended.stdout).expect("JSON");
+    assert_eq!(summary["complete"], false);
+    let updates = summary["updates"].as_u64().expect("a number");
+    assert!((12..100_000).contains(&updates), "{summary}");
+    assert!(out.join(format!("checkpoints/{updates:09}/state.msgpack")).exists());
 }
 
 #[test]
@@ -166,6 +207,13 @@ fn an_exported_policy_is_what_was_trained() {
         read(&to.join("report.json"))
     };
     assert_eq!(evaluation(&out), evaluation(&best));
+    // Nor does it fly with states that it has never seen.
+    let scaled = dir.path().join("scaled.toml");
+    write(&scaled, "[rl]\nheight_scale_m = 25.0");
+    let mut command = holescout("evaluate");
+    command.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(&out).arg("--config");
+    command.arg(&scaled).arg("--out").arg(dir.path().join("none")).args(["--split", "val"]);
+    assert_says(&run(&mut command).refused(), &["rl.height_scale_m", "25 here, 50 there"]);
     // Other weights under the same manifest are found out.
     write(&again.join("weights.safetensors"), b"other");
     let mut command = holescout("evaluate");
@@ -284,7 +332,7 @@ fn it_learns_a_map_with_a_known_answer() {
     let maps = [Arc::new(World::new(&record, &grids, &config.rl))];
     let (rl, train, device) = (&config.rl, &config.train, Device::Cpu);
     let job = TrainJob { dataset_sha256: "", rl, train, device };
-    let pool = MapPool::fixed(maps.to_vec()).expect("a map to learn");
+    let pool = MapSource::maps(maps.to_vec()).fill().expect("a map to learn");
     let mut trainer = Trainer::new(job, pool).expect("there is something to learn");
     let mut loss_of = |updates: u64| {
         (0..updates).for_each(|_| trainer.update().expect("maps are in memory"));

@@ -83,7 +83,7 @@ impl RlConfig {
             self.height_scale_m,
             "more than 0 m",
         )?;
-        demand((1..=1000).contains(&self.max_steps), "rl.max_steps", self.max_steps, "1 to 1000")
+        demand((1..=254).contains(&self.max_steps), "rl.max_steps", self.max_steps, "1 to 254")
     }
 }
 

@@ -9,7 +9,7 @@ use super::{ConfigError, demand};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
-    /// `bfloat16` where the CPU multiplies it natively, else `float32`.
+    /// `bfloat16` on graphics cards and where the CPU multiplies it natively, else `float32`.
     Auto,
     /// 32 bits throughout.
     Float32,

@@ -29,7 +29,8 @@ pub struct PolicyManifest {
     pub dataset_sha256: String,
     /// Updates after which it was taken.
     pub updates: u64,
-    /// Mean precision after 1, 2 and 4 steps on the validation split, if it was judged then.
+    /// Mean precision after a few steps on the validation split or a sample of it, if it was judged
+    /// then: the greatest of all while it was trained, and so optimistic.
     pub score: Option<f64>,
     /// The task.
     pub rl: RlConfig,

@@ -11,6 +11,9 @@ use super::random::Random;
 use super::sight::{ActionSet, Sight};
 use super::world::World;
 
+/// Keys the random numbers of episodes.
+const EPISODES: u64 = 20;
+
 /// What an action came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outcome {
@@ -32,7 +35,8 @@ pub struct EpisodeState {
     visited: Vec<Cell>,
 }
 
-/// One episode after another, on maps drawn at random. The n-th episode of a slot is a function of seed, slot and n alone.
+/// One episode after another, on maps drawn at random. The n-th episode of a slot is a function of seed,
+/// slot, n and the maps alone.
 #[derive(Debug)]
 struct Slot {
     number: u64,
@@ -221,7 +225,7 @@ impl Environment {
 
 impl Slot {
     fn begin(&mut self, seed: u64, sight: &Sight, maps: &[Arc<World>], starts: &[Vec<u32>]) {
-        let mut random = Random::keyed(&[seed, self.number, self.episodes]);
+        let mut random = Random::keyed(&[seed, EPISODES, self.number, self.episodes]);
         self.episodes += 1;
         self.map = random.below(maps.len());
         let from = &starts[self.map];

@@ -35,7 +35,7 @@ pub use flight::{
     Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step, rewards_into,
 };
 pub use oracle::Hops;
-pub use pool::{MapPool, PoolError, PoolState, load_sample, load_split};
+pub use pool::{MapPool, MapSource, PoolError, PoolState, load_sample, load_split};
 pub use priorities::Priorities;
 pub use random::Random;
 pub use replay::{MAX_STEPS, Replay, Transition};

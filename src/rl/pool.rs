@@ -113,7 +113,7 @@ pub struct PoolState {
 /// cannot teach anything are left out.
 #[derive(Debug)]
 pub struct MapPool {
-    maps: Vec<(u32, Arc<World>)>,
+    maps: Numbered,
     replaced: u64,
     stream: Option<Stream>,
 }
@@ -122,56 +122,116 @@ pub struct MapPool {
 #[derive(Debug)]
 struct Stream {
     dataset: Arc<Dataset>,
-    split: Split,
     config: RlConfig,
-    options: LoaderOptions,
     loader: Loader<World>,
 }
 
-impl MapPool {
+/// Where a pool's maps come from.
+#[derive(Debug)]
+pub struct MapSource(From);
+
+#[derive(Debug)]
+enum From {
+    Maps(Vec<Arc<World>>),
+    Split { dataset: Arc<Dataset>, split: Split, config: RlConfig, memory_bytes: usize, seed: u64 },
+}
+
+impl MapSource {
     /// Maps that are never replaced.
-    ///
-    /// # Errors
-    /// If none of them can teach anything.
-    pub fn fixed(maps: Vec<Arc<World>>) -> Result<Self, NothingToLearn> {
-        let all = maps.len();
-        let numbered = (0..).zip(maps).filter(|(_, map)| map.can_teach());
-        let maps: Vec<_> = numbered.collect();
-        if maps.is_empty() {
-            return Err(NothingToLearn { maps: all });
-        }
-        Ok(Self { maps, replaced: 0, stream: None })
+    #[must_use]
+    pub fn maps(maps: Vec<Arc<World>>) -> Self {
+        Self(From::Maps(maps))
     }
 
     /// All maps of a split if they take at most `memory_bytes`, else as many as that holds, in the
-    /// order that `seed` gives them.
-    ///
-    /// # Errors
-    /// If a record cannot be read, or no map can teach anything.
-    pub fn of_split(
+    /// order that `seed` gives them; at most three quarters of them, so that others are soon found.
+    #[must_use]
+    pub fn split(
         dataset: &Arc<Dataset>,
         split: Split,
         config: &RlConfig,
         memory_bytes: usize,
         seed: u64,
-    ) -> Result<Self, PoolError> {
+    ) -> Self {
+        let (dataset, config) = (Arc::clone(dataset), config.clone());
+        Self(From::Split { dataset, split, config, memory_bytes, seed })
+    }
+
+    /// A pool at its beginning.
+    ///
+    /// # Errors
+    /// If a record cannot be read, or no map can teach anything.
+    pub fn fill(self) -> Result<MapPool, PoolError> {
+        let (mut stream, capacity) = match self.stream(0)? {
+            Ok(of) => of,
+            Err(maps) => return MapPool::of(maps, None),
+        };
+        let mut maps = Vec::new();
+        while maps.len() < capacity {
+            match stream.next(&maps)? {
+                Some(next) => maps.push(next),
+                // There are no others.
+                None => return MapPool::of(maps, None),
+            }
+        }
+        MapPool::of(maps, Some(stream))
+    }
+
+    /// A pool as a checkpoint has kept it; `None` if that does not fit.
+    ///
+    /// # Errors
+    /// As [`MapSource::fill`].
+    pub fn restore(self, state: &PoolState) -> Result<Option<MapPool>, PoolError> {
+        let mut pool = match self.stream(state.cursor)? {
+            Err(maps) => MapPool::of(maps, None)?,
+            Ok((stream, capacity)) => {
+                let known = stream.loader.ids();
+                let ids = state.numbers.iter().map(|&number| known.get(number as usize).copied());
+                let Some(ids) = ids.collect::<Option<Vec<TileId>>>() else { return Ok(None) };
+                let maps = load(&stream.dataset, &ids, &stream.config)?;
+                let maps = state.numbers.iter().copied().zip(maps).collect();
+                let is_full = ids.len() == capacity;
+                MapPool::of(maps, is_full.then_some(stream))?
+            }
+        };
+        pool.replaced = state.replaced;
+        Ok((pool.state() == *state).then_some(pool))
+    }
+
+    /// The stream of maps and how many of them are held, or all of them if they fit.
+    fn stream(self, cursor: u64) -> Result<Result<(Stream, usize), Numbered>, PoolError> {
+        let (dataset, split, config, memory_bytes, seed) = match self.0 {
+            From::Maps(maps) => return Ok(Err((0..).zip(maps).collect())),
+            From::Split { dataset, split, config, memory_bytes, seed } => {
+                (dataset, split, config, memory_bytes, seed)
+            }
+        };
         let records = dataset.ids().iter().filter(|&&(_, of)| of == split).count();
-        let capacity = memory_bytes / World::bytes(dataset.manifest().cells as usize);
-        if records > 0 && records <= capacity {
-            return Ok(Self::fixed(load_split(dataset, split, config)?)?);
+        let fitting = memory_bytes / World::bytes(dataset.manifest().cells as usize);
+        if records > 0 && records <= fitting {
+            return Ok(Err((0..).zip(load_split(&dataset, split, &config)?).collect()));
         }
         let memory_bytes = memory_bytes / AHEAD;
         let options = LoaderOptions { seed, threads: DECODERS, memory_bytes };
-        let mut stream = Stream::new(dataset, split, config, options, 0)?;
-        let mut maps = Vec::new();
-        while maps.len() < capacity.max(1) {
-            match stream.next(&maps)? {
-                Some(next) => maps.push(next),
-                None if maps.is_empty() => return Err(NothingToLearn { maps: records }.into()),
-                None => break,
-            }
+        let of = config.clone();
+        let decode = move |record, grids| World::new(&record, &grids, &of);
+        let loader = Loader::new(&dataset, split, options, cursor, decode)?;
+        Ok(Ok((Stream { dataset, config, loader }, fitting.min(records * 3 / 4).max(1))))
+    }
+}
+
+/// Maps with their numbers.
+type Numbered = Vec<(u32, Arc<World>)>;
+
+impl MapPool {
+    /// Those of the maps that can teach something.
+    fn of(maps: Numbered, stream: Option<Stream>) -> Result<Self, PoolError> {
+        let all = maps.len();
+        let maps: Numbered = maps.into_iter().filter(|(_, map)| map.can_teach()).collect();
+        if maps.is_empty() {
+            return Err(NothingToLearn { maps: all }.into());
         }
-        Ok(Self { maps, replaced: 0, stream: Some(stream) })
+        Ok(Self { maps, replaced: 0, stream })
     }
 
     /// The maps, and their numbers.
@@ -214,47 +274,9 @@ impl MapPool {
             replaced: self.replaced,
         }
     }
-
-    /// Goes on where a checkpoint was made; `false`, and nothing is changed, if it does not fit.
-    ///
-    /// # Errors
-    /// If a record cannot be read.
-    pub fn restore(&mut self, state: &PoolState) -> Result<bool, PoolError> {
-        let Some(stream) = &mut self.stream else { return Ok(*state == self.state()) };
-        let ids = state.numbers.iter().map(|&number| stream.loader.ids().get(number as usize));
-        let Some(ids) = ids.map(Option::<&TileId>::copied).collect::<Option<Vec<TileId>>>() else {
-            return Ok(false);
-        };
-        if ids.len() != self.maps.len() {
-            return Ok(false);
-        }
-        let maps = load(&stream.dataset, &ids, &stream.config)?;
-        stream.seek(state.cursor)?;
-        self.maps = state.numbers.iter().copied().zip(maps).collect();
-        self.replaced = state.replaced;
-        Ok(true)
-    }
 }
 
 impl Stream {
-    fn new(
-        dataset: &Arc<Dataset>,
-        split: Split,
-        config: &RlConfig,
-        options: LoaderOptions,
-        cursor: u64,
-    ) -> Result<Self, LoaderError> {
-        let of = config.clone();
-        let decode = move |record, grids| World::new(&record, &grids, &of);
-        let loader = Loader::new(dataset, split, options, cursor, decode)?;
-        Ok(Self { dataset: Arc::clone(dataset), split, config: config.clone(), options, loader })
-    }
-
-    fn seek(&mut self, cursor: u64) -> Result<(), LoaderError> {
-        *self = Self::new(&self.dataset, self.split, &self.config, self.options, cursor)?;
-        Ok(())
-    }
-
     /// The next map that can teach something and is not among these, within an epoch.
     fn next(&mut self, held: &[(u32, Arc<World>)]) -> Result<Option<(u32, Arc<World>)>, ReadError> {
         for _ in 0..self.loader.ids().len() {

@@ -7,15 +7,15 @@
 use super::random::Random;
 
 /// What an error is raised by, so that no transition is never drawn.
-const LEAST: f32 = 1e-3;
+const LEAST: f64 = 1e-3;
 
 /// Priorities of the transitions of a replay buffer, by their positions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Priorities {
-    exponent: f32,
+    exponent: f64,
     /// The root at 1, the children of i at 2 i and 2 i + 1, the transitions in the second half.
-    sums: Vec<f32>,
-    greatest: f32,
+    sums: Vec<f64>,
+    greatest: f64,
 }
 
 impl Priorities {
@@ -23,20 +23,20 @@ impl Priorities {
     #[must_use]
     pub fn new(capacity: usize, exponent: f64) -> Self {
         let leaves = capacity.next_power_of_two();
-        Self { exponent: exponent as f32, sums: vec![0.0; 2 * leaves], greatest: 1.0 }
+        Self { exponent, sums: vec![0.0; 2 * leaves], greatest: 1.0 }
     }
 
     /// Bytes that priorities for so many transitions take.
     #[must_use]
     pub fn bytes(capacity: usize) -> usize {
-        2 * capacity.next_power_of_two() * size_of::<f32>()
+        2 * capacity.next_power_of_two() * size_of::<f64>()
     }
 
     fn leaves(&self) -> usize {
         self.sums.len() / 2
     }
 
-    fn set(&mut self, at: usize, priority: f32) {
+    fn set(&mut self, at: usize, priority: f64) {
         let mut node = self.leaves() + at;
         self.sums[node] = priority;
         while node > 1 {
@@ -52,14 +52,14 @@ impl Priorities {
 
     /// The error that was found for a transition.
     pub fn change(&mut self, at: usize, error: f32) {
-        let priority = libm::powf(error.abs() + LEAST, self.exponent);
+        let priority = libm::pow(f64::from(error.abs()) + LEAST, self.exponent);
         self.greatest = self.greatest.max(priority);
         self.set(at, priority);
     }
 
     /// A position, each as likely as its priority.
     pub fn draw(&self, random: &mut Random) -> usize {
-        let mut rest = (random.unit() * f64::from(self.sums[1])) as f32;
+        let mut rest = random.unit() * self.sums[1];
         let mut node = 1;
         while node < self.leaves() {
             let left = self.sums[2 * node];
@@ -76,7 +76,7 @@ impl Priorities {
     /// How likely a position is drawn.
     #[must_use]
     pub fn likelihood(&self, at: usize) -> f64 {
-        f64::from(self.sums[self.leaves() + at]) / f64::from(self.sums[1])
+        self.sums[self.leaves() + at] / self.sums[1]
     }
 
     /// What a checkpoint must keep: the priorities of the first `count` transitions, little-endian,
@@ -90,8 +90,8 @@ impl Priorities {
     /// Takes over what a checkpoint has kept; `false`, and nothing is changed, if it does not fit.
     #[must_use]
     pub fn restore(&mut self, state: &[u8]) -> bool {
-        let (values, rest) = state.as_chunks::<4>();
-        let mut values = values.iter().map(|&bytes| f32::from_le_bytes(bytes));
+        let (values, rest) = state.as_chunks::<8>();
+        let mut values = values.iter().map(|&bytes| f64::from_le_bytes(bytes));
         if !rest.is_empty() || !(1..=self.leaves() + 1).contains(&values.len()) {
             return false;
         }
@@ -124,6 +124,25 @@ mod tests {
         }
         assert!((priorities.likelihood(2) - 3.0 / 6.5).abs() < 1e-3);
         assert!(counts[1] > 0, "none is never drawn");
+    }
+
+    /// Among a million alike, a few with the least priority are drawn as often as they should.
+    #[test]
+    fn small_priorities_are_not_lost_among_many() {
+        let count = 1 << 20;
+        let mut priorities = Priorities::new(count, 0.6);
+        (0..count).for_each(|at| priorities.add(at));
+        // The upper half of them.
+        (count / 2..count).for_each(|at| priorities.change(at, 0.0));
+        let mut random = Random::keyed(&[4]);
+        let draws = 200_000;
+        let drawn: Vec<usize> = (0..draws).map(|_| priorities.draw(&mut random)).collect();
+        let small = drawn.iter().filter(|&&at| at >= count / 2);
+        let share = small.clone().count() as f64 / f64::from(draws);
+        let expected = priorities.likelihood(count - 1) * (count / 2) as f64;
+        assert!((share - expected).abs() < 0.002, "{share} {expected}");
+        let odd = small.clone().filter(|&&at| at % 2 == 1).count() as f64 / small.count() as f64;
+        assert!((odd - 0.5).abs() < 0.05, "{odd}");
     }
 
     #[test]

@@ -64,14 +64,17 @@ pub struct Replay {
 }
 
 impl Replay {
+    /// Cells along a side that a map may have, so that positions fit into 16 bits.
+    pub const MAX_CELLS: usize = 256;
+
     /// For `capacity` transitions of episodes of at most `max_steps` steps on maps of `cells` ×
     /// `cells`.
     ///
     /// # Panics
-    /// If a cell's position does not fit into 16 bits (more than 256 × 256 cells).
+    /// If a map has more cells than [`Replay::MAX_CELLS`], or an episode more than 254 steps.
     #[must_use]
     pub fn new(capacity: usize, cells: usize, max_steps: usize) -> Self {
-        assert!(cells <= 256 && max_steps < 256, "positions and steps fit into 16 and 8 bits");
+        assert!(cells <= Self::MAX_CELLS && max_steps < 255, "what there is fits into its bits");
         let mut replay =
             Self { cells, max_steps, capacity, added: 0, bytes: Vec::new(), on_map: Vec::new() };
         replay.bytes.reserve_exact(capacity * replay.stride());
@@ -116,7 +119,9 @@ impl Replay {
         let expected = (added as usize).min(self.capacity) * stride;
         let fits = bytes.len() == expected;
         if fits {
-            (self.added, self.bytes) = (added, bytes);
+            self.added = added;
+            self.bytes.clear();
+            self.bytes.extend(bytes);
             self.on_map.clear();
             (0..self.len()).for_each(|at| self.count(at));
         }

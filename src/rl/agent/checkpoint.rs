@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 use tch::{Device, Tensor};
+use tempfile::TempDir;
 
 use super::adam::Adam;
 use super::network::{QNetwork, ShapeError};
@@ -56,6 +57,17 @@ pub enum CheckpointError {
         /// What differs: key, expected, found.
         differences: Vec<String>,
     },
+    /// It was trained on states that are encoded otherwise.
+    #[error(
+        "{}: the policy sees states otherwise: {}; evaluate it with its own settings",
+        path.display(), differences.join("; ")
+    )]
+    OtherEncoding {
+        /// The checkpoint.
+        path: PathBuf,
+        /// What differs: key, expected, found.
+        differences: Vec<String>,
+    },
     /// The manifest of an exported policy cannot be used.
     #[error(transparent)]
     Manifest(#[from] ManifestError),
@@ -70,7 +82,9 @@ impl HasFault for CheckpointError {
             Self::File(error) => error.fault(),
             Self::Manifest(error) => error.fault(),
             Self::Shape(error) => error.fault(),
-            Self::Format { .. } | Self::OtherRun { .. } => Fault::Input,
+            Self::Format { .. } | Self::OtherRun { .. } | Self::OtherEncoding { .. } => {
+                Fault::Input
+            }
         }
     }
 }
@@ -127,15 +141,12 @@ pub(super) struct Run<'a> {
     rl: &'a RlConfig,
     train: &'a TrainConfig,
     dataset_sha256: &'a str,
-    cells: u32,
-    cell_m: f64,
 }
 
 impl<'a> Run<'a> {
-    pub(super) fn of(job: &TrainJob<'a>, map: &World) -> Self {
+    pub(super) fn of(job: &TrainJob<'a>) -> Self {
         let TrainJob { rl, train, dataset_sha256, .. } = *job;
-        let (cells, cell_m) = (map.cells() as u32, map.cell_m());
-        Self { rl, train, dataset_sha256, cells, cell_m }
+        Self { rl, train, dataset_sha256 }
     }
 }
 
@@ -146,6 +157,7 @@ fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
 impl Checkpoint {
     pub(super) fn new(
         run: &Run<'_>,
+        map: &World,
         counters: Counters,
         totals: TotalsState,
         memory: Memory,
@@ -155,8 +167,8 @@ impl Checkpoint {
             rl: run.rl.clone(),
             train: run.train.clone(),
             dataset_sha256: run.dataset_sha256.to_owned(),
-            cells: run.cells,
-            cell_m: run.cell_m,
+            cells: map.cells() as u32,
+            cell_m: map.cell_m(),
             counters,
             totals,
             memory,
@@ -195,9 +207,8 @@ impl Checkpoint {
         save(LEARNING, learning)?;
         let state = rmp_serde::to_vec_named(&self).expect("writing to memory cannot fail");
         write_atomic(&temporary.path().join(STATE), &state)?;
-        if directory.exists() {
-            std::fs::remove_dir_all(directory).map_err(FileError::new("remove", directory))?;
-        }
+        // The old one goes in one step too, and is removed when the new one is in its place.
+        let _old = remove_whole(directory)?;
         let temporary = temporary.keep();
         std::fs::rename(&temporary, directory).map_err(FileError::new("rename", directory))?;
         Ok(())
@@ -273,6 +284,19 @@ impl Checkpoint {
     }
 }
 
+/// Takes a checkpoint out of the way, whole, if it is there; it is removed when the result is dropped.
+pub(super) fn remove_whole(directory: &Path) -> Result<Option<TempDir>, FileError> {
+    if !directory.exists() {
+        return Ok(None);
+    }
+    let parent = directory.parent().unwrap_or(Path::new("."));
+    let aside = tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(parent);
+    let aside = aside.map_err(FileError::new("create", parent))?;
+    let to = aside.path().join("old");
+    std::fs::rename(directory, to).map_err(FileError::new("rename", directory))?;
+    Ok(Some(aside))
+}
+
 /// The tensors of a file.
 struct Tensors {
     path: PathBuf,
@@ -314,18 +338,39 @@ pub(super) fn write_tensors(
     Tensor::write_safetensors(&tensors, path).map_err(|error| invalid(path, &error))
 }
 
-/// How a policy was trained: that of a checkpoint, or one that was exported.
-fn trained(directory: &Path) -> Result<TrainConfig, CheckpointError> {
+/// The task that a policy was trained for, and how: that of a checkpoint, or one that was exported.
+fn trained(directory: &Path) -> Result<(RlConfig, TrainConfig), CheckpointError> {
     if directory.join(STATE).exists() || !directory.join(MANIFEST).exists() {
-        return Ok(Checkpoint::read(directory)?.train);
+        let Checkpoint { rl, train, .. } = Checkpoint::read(directory)?;
+        return Ok((rl, train));
     }
-    let (PolicyManifest { train, weights_sha256, .. }, _) =
+    let (PolicyManifest { rl, train, weights_sha256, .. }, _) =
         load::<PolicyManifest>(directory, "export-policy", PolicyManifest::SCHEMA)?;
     let path = directory.join(WEIGHTS);
     if sha256_file(&path)?.sha256 != weights_sha256 {
         return Err(invalid(&path, &"it is not the file that the manifest tells of"));
     }
-    Ok(train)
+    Ok((rl, train))
+}
+
+/// Demands that states are encoded as a policy has learned to see them.
+fn demand_encoding(
+    directory: &Path,
+    expected: &RlConfig,
+    found: &RlConfig,
+) -> Result<(), CheckpointError> {
+    let pairs = [
+        ("encoding_decay", expected.encoding_decay, found.encoding_decay),
+        ("height_scale_m", expected.height_scale_m, found.height_scale_m),
+    ];
+    let different = pairs.into_iter().filter(|(_, expected, found)| expected != found);
+    let differences: Vec<String> = different
+        .map(|(key, expected, found)| format!("rl.{key} is {expected} here, {found} there"))
+        .collect();
+    if differences.is_empty() {
+        return Ok(());
+    }
+    Err(CheckpointError::OtherEncoding { path: directory.to_owned(), differences })
 }
 
 /// The policy of a checkpoint or an exported one, and how it was trained.
@@ -339,7 +384,8 @@ pub fn load_weights(
     config: &RlConfig,
     device: Device,
 ) -> Result<(TrainConfig, QNetwork), CheckpointError> {
-    let train = trained(directory)?;
+    let (rl, train) = trained(directory)?;
+    demand_encoding(directory, config, &rl)?;
     let mut network = QNetwork::new(cells, config.reach_cells, &train, device)?;
     let weights = Tensors::read(&directory.join(WEIGHTS))?;
     network.set(&weights.of(&network, "")?);

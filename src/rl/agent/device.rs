@@ -78,17 +78,20 @@ fn load_cuda() -> Result<(), String> {
 }
 
 /// Tells the C library to keep memory that tensors have given back for the next ones. It would return
-/// large pieces to the system each time, and get them back page by page: a tenth of all time.
-pub(super) fn keep_freed_memory() {
+/// large pieces to the system each time, and get them back page by page: a tenth of all time. It is for
+/// programs to call, once, before they train.
+pub fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
-        const KEPT: i32 = 1 << 30;
-        #[allow(unsafe_code, reason = "a function of the C library that takes two numbers")]
-        // SAFETY: mallopt may be called at any time, and refuses what it cannot do.
-        let kept = unsafe {
-            [libc::M_MMAP_THRESHOLD, libc::M_TRIM_THRESHOLD].map(|what| libc::mallopt(what, KEPT))
+        let set = |what, bytes| {
+            #[allow(unsafe_code, reason = "a function of the C library that takes two numbers")]
+            // SAFETY: mallopt may be called at any time, and refuses what it cannot do.
+            let done = unsafe { libc::mallopt(what, bytes) };
+            done == 1
         };
-        debug_assert_eq!(kept, [1, 1], "both limits are raised");
+        // Older versions refuse more than the second.
+        let _ = [1 << 30, 32 << 20].iter().any(|&bytes| set(libc::M_MMAP_THRESHOLD, bytes));
+        let _ = set(libc::M_TRIM_THRESHOLD, 1 << 30);
     }
 }
 
@@ -119,11 +122,8 @@ impl Computing {
 /// Numbers on a device. A graphics card gets them while it is still busy with what came before.
 pub(super) fn upload<T: Element>(numbers: &[T], device: Device) -> Tensor {
     let tensor = Tensor::from_slice(numbers);
-    if !device.is_cuda() {
-        return tensor;
-    }
     let kind = tensor.kind();
-    tensor.pin_memory(device).to_device_(device, kind, true, false)
+    tensor.to_device_(device, kind, true, false)
 }
 
 #[cfg(test)]

@@ -78,34 +78,40 @@ impl DeviceEncoder {
         let here = |state: &Reference<'_>| {
             turned(state, *state.visited.last().expect("an episode has a start"))
         };
-        let column = |value: &dyn Fn(&Reference<'_>) -> i64| {
-            let values: Vec<i64> = states.iter().map(value).collect();
-            upload(&values, self.device).unsqueeze(1)
-        };
         // Where the north-western cell of the map lies in the table, seen from a cell.
         let corner = |cell: Cell| {
             let [row, column] = [cell.row, cell.column].map(|at| n - 1 - i64::from(at));
             row * (2 * n - 1) + column
         };
-        let decay = |from: &Tensor| self.decay.take(&(from + &self.map_grid));
-        let location = decay(&column(&|state| corner(here(state))));
-        let mut levels = location.zeros_like();
+        let wide = n + 2 * i64::from(self.reach);
+        let first = |cell: Cell| i64::from(cell.row) * wide + i64::from(cell.column);
+        // All that the device must know, in two pieces: a row of numbers for each of these.
         let most = states.iter().map(|state| state.visited.len()).max().unwrap_or(0);
+        let mut numbers: Vec<i64> = states.iter().map(|state| state.place as i64).collect();
+        numbers.extend(states.iter().map(|state| state.symmetry.number() as i64));
+        numbers.extend(states.iter().map(|state| first(here(state))));
+        numbers.extend(states.iter().map(|state| corner(here(state))));
+        let mut weights = Vec::new();
         for at in 0..most {
-            let from = column(&|state| {
-                state.visited.get(at).map_or(0, |&cell| corner(turned(state, cell)))
-            });
-            let level = |state: &Reference<'_>| {
+            let cells = || states.iter().map(|state| (state, state.visited.get(at)));
+            numbers.extend(
+                cells().map(|(state, cell)| cell.map_or(0, |&cell| corner(turned(state, cell)))),
+            );
+            weights.extend(cells().map(|(state, cell)| {
                 let world = state.world;
-                state.visited.get(at).map_or(0.0, |&cell| {
-                    normalised_rsrp(world.rsrp_dbm(cell), world.threshold_dbm())
-                })
-            };
-            let weights: Vec<f32> = states.iter().map(level).collect();
-            levels += upload(&weights, self.device).unsqueeze(1) * decay(&from);
+                let level = |&cell| normalised_rsrp(world.rsrp_dbm(cell), world.threshold_dbm());
+                cell.map_or(0.0, level)
+            }));
         }
-        let places = column(&|state| state.place as i64).squeeze_dim(1);
-        let symmetries = column(&|state| state.symmetry.number() as i64).squeeze_dim(1);
+        let numbers = upload(&numbers, self.device).reshape([-1, count]);
+        let weights = upload(&weights, self.device).reshape([-1, count, 1]);
+        let decay = |row| self.decay.take(&(numbers.get(row).unsqueeze(1) + &self.map_grid));
+        let location = decay(3);
+        let mut levels = location.zeros_like();
+        for at in 0..most as i64 {
+            levels += weights.get(at) * decay(4 + at);
+        }
+        let (places, symmetries) = (numbers.get(0), numbers.get(1));
         let sources = self.sources.index_select(0, &symmetries);
         let heights = self.heights.index_select(0, &places).gather(1, &sources, false);
         let channels = CHANNELS as i64;
@@ -116,12 +122,9 @@ impl DeviceEncoder {
         let inside = Tensor::ones([1, 1, n, n], (Kind::Float, self.device));
         let beyond: Tensor = 1.0 - inside.constant_pad_nd([reach; 4]);
         let _ = bordered.narrow(1, channels - 1, 1).g_add_(&beyond);
-        let wide = n + 2 * reach;
-        let first = column(&|state| {
-            let cell = here(state);
-            i64::from(cell.row) * wide + i64::from(cell.column)
-        });
-        let cut = (first + &self.window_grid).unsqueeze(1).expand([-1, channels, -1], true);
+        let cut = (numbers.get(2).unsqueeze(1) + &self.window_grid)
+            .unsqueeze(1)
+            .expand([-1, channels, -1], true);
         let window = bordered.flatten(2, 3).gather(2, &cut, false);
         [map, window.reshape([count, channels, side, side])]
     }

@@ -88,7 +88,8 @@ fn card(manifest: &PolicyManifest) -> String {
     let side = 2 * rl.reach_cells + 1;
     let score = manifest.score.map_or_else(String::new, |score| {
         format!(
-            "Its mean precision after 1, 2 and 4 steps on the validation split was {:.1} %.",
+            "Its mean precision after a few steps on the validation split (or a sample of it) was \
+             {:.1} %: the best of all judgements while it was trained, and so optimistic.",
             100.0 * score
         )
     });

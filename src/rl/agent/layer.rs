@@ -67,7 +67,8 @@ impl Layer {
             return part.with(side, |at| at * stride - padding);
         }
         // Input i reaches the outputs from stride · i - padding on, kernel of them.
-        let side = (part.side + kernel - 2) / stride + 1;
+        let side =
+            (part.side + kernel - 2).unsigned_abs().div_ceil(stride.unsigned_abs()) as i64 + 1;
         part.with(side, |at| (at + padding + 1 - kernel).divide_scalar_mode(stride, "floor"))
     }
 

@@ -3,15 +3,16 @@
 use sysinfo::System;
 use tch::Device;
 
-use super::network::{QNetwork, ShapeError};
+use super::network::{QNetwork, ShapeError, activations};
 use crate::config::{Config, Split};
 use crate::dataset::Dataset;
 use crate::error::{Fault, HasFault};
 use crate::rl::{CHANNELS, Priorities, Replay, World};
 
-/// Copies of a batch's numbers that a pass holds at a time: as encoded, as computed with, and what
-/// layers keep for the gradient. Measured, and rounded up.
-const COPIES: usize = 8;
+/// Copies of a batch's states that are there at a time: in buffers, as tensors, as computed with.
+const STATE_COPIES: usize = 4;
+/// Copies of what layers make of them: results, gradients, what is kept for the next batch.
+const LAYER_COPIES: usize = 3;
 
 /// Why training cannot begin.
 #[derive(Debug, thiserror::Error)]
@@ -68,8 +69,9 @@ impl MemoryNeed {
         let cells = dataset.manifest().cells as usize;
         let records = |split| dataset.ids().iter().filter(|&&(_, of)| of == split).count();
         let map = World::bytes(cells);
-        let train_bytes =
-            (records(Split::Train) * map).min(train.map_memory_mb as usize * 1_000_000);
+        let budget = train.map_memory_mb as usize * 1_000_000;
+        // Beyond the budget there is what is read ahead.
+        let train_bytes = (records(Split::Train) * map).min(budget + budget / 16);
         let val_bytes = records(Split::Val).min(train.evaluate_maps as usize) * map;
         let (max_steps, replay) = (rl.max_steps as usize, train.replay as usize);
         let prioritised = train.priority_exponent > 0.0;
@@ -79,7 +81,9 @@ impl MemoryNeed {
         let state = size_of::<f32>() * CHANNELS * (cells * cells + window);
         // Policy, target, moments, gradients; each with a copy of 16 bits.
         let weights = 6 * 6 * network.size();
-        let batch = 2 * COPIES * state * train.batch.max(train.episodes) as usize;
+        let layers = size_of::<f32>() * activations(cells, rl.reach_cells, train.widths);
+        let sample = STATE_COPIES * 2 * state + LAYER_COPIES * layers;
+        let batch = sample * train.batch.max(train.episodes) as usize;
         Ok(Self {
             map_bytes: train_bytes + val_bytes,
             replay_bytes: Replay::stride_of(max_steps) * replay + priorities,

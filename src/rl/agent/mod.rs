@@ -22,7 +22,7 @@ pub use adam::Adam;
 pub use batch::{Batch, Batcher, Next};
 pub use checkpoint::{Checkpoint, CheckpointError, load_weights};
 pub use ddqn::{LossParts, loss};
-pub use device::{Computing, DeviceChoice, NoDevice};
+pub use device::{Computing, DeviceChoice, NoDevice, keep_freed_memory};
 pub use export::{ExportError, export_policy};
 pub use memory::{MemoryError, MemoryNeed};
 pub use network::{Inputs, QNetwork, ShapeError};

@@ -43,6 +43,21 @@ impl crate::error::HasFault for ShapeError {
     }
 }
 
+/// Numbers that all layers make of one state.
+pub(super) fn activations(cells: usize, reach: u32, widths: [u32; 7]) -> usize {
+    let [map, window, head] = [&MAP[..], &WINDOW, &HEAD];
+    let mut widths = widths.into_iter().chain([2]).map(i64::from);
+    let mut sides = |layers: &[Layer], first: i64| -> i64 {
+        let sides = layers.iter().scan(first, |side, layer| {
+            *side = layer.side(*side);
+            Some(*side)
+        });
+        sides.zip(widths.by_ref()).map(|(side, width)| side * side * width).sum()
+    };
+    let side = 2 * i64::from(reach) + 1;
+    (sides(map, cells as i64) + sides(window, side) + sides(head, side)) as usize
+}
+
 /// A parameter: its name and shape.
 #[derive(Debug, Clone)]
 struct Parameter {

@@ -4,20 +4,20 @@
 //! the validation split, `RUN/log.jsonl` a line for every hundred updates and every validation;
 //! `RUN/events.out.tfevents.*` are the same for `TensorBoard`.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use super::checkpoint::TEMPORARY;
+use super::checkpoint::{TEMPORARY, remove_whole};
 use super::events::Events;
 use super::network::QNetwork;
 use super::report::TrainReport;
 use super::trainer::{TrainError, TrainJob, Trainer};
 use crate::error::{Fault, FileError, HasFault};
-use crate::rl::MapPool;
+use crate::rl::MapSource;
 use crate::store::write_atomic;
 
 /// Checkpoints that are kept beside the best.
@@ -96,20 +96,24 @@ pub struct Ended {
 /// [`SessionError`]; what the last checkpoint holds is not lost.
 pub fn train(
     job: TrainJob<'_>,
-    pool: MapPool,
+    maps: MapSource,
     run: &Path,
     watch: &mut dyn Watch,
 ) -> Result<Ended, SessionError> {
     std::fs::create_dir_all(run).map_err(FileError::new("create", run))?;
     let lock = File::create(run.join(LOCK)).map_err(FileError::new("create", run))?;
-    if lock.try_lock().is_err() {
-        return Err(SessionError::Busy { path: run.to_owned() });
+    match lock.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            return Err(SessionError::Busy { path: run.to_owned() });
+        }
+        Err(TryLockError::Error(error)) => return Err(FileError::new("lock", run)(error).into()),
     }
     remove_leftovers(run)?;
     remove_leftovers(&run.join(CHECKPOINTS))?;
     let mut trainer = match checkpoints(run)?.last() {
-        Some(last) => Trainer::resume(job, pool, last)?,
-        None => Trainer::new(job, pool)?,
+        Some(last) => Trainer::resume(job, maps, last)?,
+        None => Trainer::new(job, maps.fill().map_err(TrainError::from)?)?,
     };
     watch.begins(&trainer);
     let config = job.train;
@@ -187,10 +191,13 @@ impl Clock {
 
 /// Writes a checkpoint, then removes the oldest.
 fn save(trainer: &Trainer<'_>, run: &Path) -> Result<(), SessionError> {
-    trainer.save(&run.join(CHECKPOINTS).join(format!("{:09}", trainer.updates())))?;
+    let directory = run.join(CHECKPOINTS).join(format!("{:09}", trainer.updates()));
+    if !directory.exists() {
+        trainer.save(&directory)?;
+    }
     let all = checkpoints(run)?;
     for old in &all[..all.len().saturating_sub(KEPT)] {
-        std::fs::remove_dir_all(old).map_err(FileError::new("remove", old))?;
+        drop(remove_whole(old)?);
     }
     Ok(())
 }
@@ -234,7 +241,10 @@ struct Log {
 impl Log {
     fn open(run: &Path, updates: u64) -> Result<Self, FileError> {
         let path = run.join("log.jsonl");
-        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        let text = match std::fs::read_to_string(&path) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+            other => other.map_err(FileError::new("read", &path))?,
+        };
         let is_before = |line: &&str| {
             let line = serde_json::from_str::<Value>(line).ok();
             line.and_then(|line| line["update"].as_u64()).is_some_and(|update| update <= updates)

@@ -13,14 +13,14 @@ use super::adam::Adam;
 use super::batch::{Batcher, flags};
 use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory, Run};
 use super::ddqn::loss;
-use super::device::{keep_freed_memory, upload};
+use super::device::upload;
 use super::network::{QNetwork, ShapeError};
 use super::report::{Totals, TotalsState, TrainReport};
 use crate::config::{RlConfig, TrainConfig};
 use crate::error::{Fault, HasFault};
 use crate::rl::{
-    Cell, Environment, MapPool, NothingToLearn, PoolError, Priorities, Random, Recent, Replay,
-    Transition,
+    Cell, Environment, MapPool, MapSource, NothingToLearn, PoolError, Priorities, Random, Recent,
+    Replay, Transition,
 };
 
 const ACTING: u64 = 21;
@@ -39,6 +39,16 @@ pub enum TrainError {
     /// The network does not fit the maps.
     #[error(transparent)]
     Shape(#[from] ShapeError),
+    /// Cells of such maps have no number in the replay.
+    #[error(
+        "maps of {cells} × {cells} cells are too large for the replay, which takes {0} × {0}: choose \
+         a smaller shard.downsample or grid.crop_m",
+        Replay::MAX_CELLS
+    )]
+    TooLarge {
+        /// Cells along a side.
+        cells: usize,
+    },
     /// A checkpoint cannot be written or used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
@@ -60,6 +70,7 @@ impl HasFault for TrainError {
             Self::Pool(error) => error.fault(),
             Self::Shape(error) => error.fault(),
             Self::Checkpoint(error) => error.fault(),
+            Self::TooLarge { .. } => Fault::Input,
             Self::Diverged { .. } => Fault::Running,
         }
     }
@@ -104,11 +115,13 @@ impl<'a> Trainer<'a> {
     /// If there is nothing to learn, or the network does not fit the maps.
     pub fn new(job: TrainJob<'a>, pool: MapPool) -> Result<Self, TrainError> {
         let TrainJob { rl, train, device, .. } = job;
-        keep_freed_memory();
         let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
         let episodes = train.episodes as usize;
         let environment = Environment::new(&maps, episodes, rl.max_steps, train.seed)?;
         let cells = maps[0].cells();
+        if cells > Replay::MAX_CELLS {
+            return Err(TrainError::TooLarge { cells });
+        }
         let network = || QNetwork::new(cells, rl.reach_cells, train, device);
         let (policy, target) = (network()?, network()?);
         let capacity = train.replay as usize;
@@ -137,20 +150,18 @@ impl<'a> Trainer<'a> {
     /// As [`Trainer::new`], and if the checkpoint is damaged or of another run.
     pub fn resume(
         job: TrainJob<'a>,
-        mut pool: MapPool,
+        maps: MapSource,
         directory: &Path,
     ) -> Result<Self, TrainError> {
         let checkpoint = Checkpoint::read(directory)?;
-        checkpoint.demand(directory, &Run::of(&job, &pool.maps()[0].1))?;
+        checkpoint.demand(directory, &Run::of(&job))?;
         let damaged = |what: &str| CheckpointError::Format {
             path: directory.to_owned(),
             reason: format!("its {what} do not fit this run"),
         };
-        let Memory { pool: maps, episodes, recent, returns, replay_added, replay, priorities } =
+        let Memory { pool, episodes, recent, returns, replay_added, replay, priorities } =
             &checkpoint.memory;
-        if !pool.restore(maps)? {
-            return Err(damaged("maps").into());
-        }
+        let pool = maps.restore(pool)?.ok_or_else(|| damaged("maps"))?;
         let mut trainer = Self::new(job, pool)?;
         let networks = [&mut trainer.policy, &mut trainer.target];
         checkpoint.restore_tensors(directory, networks, &mut trainer.adam)?;
@@ -194,7 +205,8 @@ impl<'a> Trainer<'a> {
             priorities: priorities.unwrap_or_default().into(),
         };
         let checkpoint = Checkpoint::new(
-            &Run::of(&self.job, &self.pool.maps()[0].1),
+            &Run::of(&self.job),
+            &self.pool.maps()[0].1,
             self.counters,
             totals,
             memory,
@@ -298,6 +310,9 @@ impl<'a> Trainer<'a> {
     }
 
     /// One step of Adam on sampled transitions.
+    ///
+    /// # Panics
+    /// If there are none yet.
     pub fn learn(&mut self) {
         let train = self.job.train;
         let mut random = Random::keyed(&[train.seed, SAMPLING, self.counters.updates]);
