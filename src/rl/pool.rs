@@ -128,10 +128,10 @@ struct Stream {
 
 /// Where a pool's maps come from.
 #[derive(Debug)]
-pub struct MapSource(From);
+pub struct MapSource(Origin);
 
 #[derive(Debug)]
-enum From {
+enum Origin {
     Maps(Vec<Arc<World>>),
     Split { dataset: Arc<Dataset>, split: Split, config: RlConfig, memory_bytes: usize, seed: u64 },
 }
@@ -140,7 +140,7 @@ impl MapSource {
     /// Maps that are never replaced.
     #[must_use]
     pub fn maps(maps: Vec<Arc<World>>) -> Self {
-        Self(From::Maps(maps))
+        Self(Origin::Maps(maps))
     }
 
     /// All maps of a split if they take at most `memory_bytes`, else as many as that holds, in the
@@ -154,7 +154,7 @@ impl MapSource {
         seed: u64,
     ) -> Self {
         let (dataset, config) = (Arc::clone(dataset), config.clone());
-        Self(From::Split { dataset, split, config, memory_bytes, seed })
+        Self(Origin::Split { dataset, split, config, memory_bytes, seed })
     }
 
     /// A pool at its beginning.
@@ -162,9 +162,9 @@ impl MapSource {
     /// # Errors
     /// If a record cannot be read, or no map can teach anything.
     pub fn fill(self) -> Result<MapPool, PoolError> {
-        let (mut stream, capacity) = match self.stream(0)? {
-            Ok(of) => of,
-            Err(maps) => return MapPool::of(maps, None),
+        let (mut stream, capacity) = match self.open(0)? {
+            Opened::Part { stream, capacity } => (stream, capacity),
+            Opened::Whole(maps) => return MapPool::of(maps, None),
         };
         let mut maps = Vec::new();
         while maps.len() < capacity {
@@ -182,9 +182,9 @@ impl MapSource {
     /// # Errors
     /// As [`MapSource::fill`].
     pub fn restore(self, state: &PoolState) -> Result<Option<MapPool>, PoolError> {
-        let mut pool = match self.stream(state.cursor)? {
-            Err(maps) => MapPool::of(maps, None)?,
-            Ok((stream, capacity)) => {
+        let mut pool = match self.open(state.cursor)? {
+            Opened::Whole(maps) => MapPool::of(maps, None)?,
+            Opened::Part { stream, capacity } => {
                 let known = stream.loader.ids();
                 let ids = state.numbers.iter().map(|&number| known.get(number as usize).copied());
                 let Some(ids) = ids.collect::<Option<Vec<TileId>>>() else { return Ok(None) };
@@ -198,26 +198,35 @@ impl MapSource {
         Ok((pool.state() == *state).then_some(pool))
     }
 
-    /// The stream of maps and how many of them are held, or all of them if they fit.
-    fn stream(self, cursor: u64) -> Result<Result<(Stream, usize), Numbered>, PoolError> {
+    fn open(self, cursor: u64) -> Result<Opened, PoolError> {
         let (dataset, split, config, memory_bytes, seed) = match self.0 {
-            From::Maps(maps) => return Ok(Err((0..).zip(maps).collect())),
-            From::Split { dataset, split, config, memory_bytes, seed } => {
+            Origin::Maps(maps) => return Ok(Opened::Whole((0..).zip(maps).collect())),
+            Origin::Split { dataset, split, config, memory_bytes, seed } => {
                 (dataset, split, config, memory_bytes, seed)
             }
         };
         let records = dataset.ids().iter().filter(|&&(_, of)| of == split).count();
         let fitting = memory_bytes / World::bytes(dataset.manifest().cells as usize);
         if records > 0 && records <= fitting {
-            return Ok(Err((0..).zip(load_split(&dataset, split, &config)?).collect()));
+            let maps = load_split(&dataset, split, &config)?;
+            return Ok(Opened::Whole((0..).zip(maps).collect()));
         }
         let memory_bytes = memory_bytes / AHEAD;
         let options = LoaderOptions { seed, threads: DECODERS, memory_bytes };
         let of = config.clone();
         let decode = move |record, grids| World::new(&record, &grids, &of);
         let loader = Loader::new(&dataset, split, options, cursor, decode)?;
-        Ok(Ok((Stream { dataset, config, loader }, fitting.min(records * 3 / 4).max(1))))
+        let capacity = fitting.min(records * 3 / 4).max(1);
+        Ok(Opened::Part { stream: Stream { dataset, config, loader }, capacity })
     }
+}
+
+/// What a source gives.
+enum Opened {
+    /// All maps.
+    Whole(Numbered),
+    /// So many at a time.
+    Part { stream: Stream, capacity: usize },
 }
 
 /// Maps with their numbers.

@@ -35,12 +35,12 @@ impl Transition {
     /// The return of the steps, `Σ γ^i r_i`, and the factor `γ^n` of what the last state is worth
     /// (0 if the episode ended).
     #[must_use]
-    pub fn discounted(&self, discount: f64) -> [f64; 2] {
-        let sum = |[sum, factor]: [f64; 2], &reward: &f32| {
-            [sum + factor * f64::from(reward), factor * discount]
+    pub fn discounted(&self, discount: f64) -> (f64, f64) {
+        let add = |(sum, factor): (f64, f64), &reward: &f32| {
+            (sum + factor * f64::from(reward), factor * discount)
         };
-        let [sum, factor] = self.rewards.iter().fold([0.0, 1.0], sum);
-        [sum, if self.terminal { 0.0 } else { factor }]
+        let (sum, factor) = self.rewards.iter().fold((0.0, 1.0), add);
+        (sum, if self.terminal { 0.0 } else { factor })
     }
 }
 
@@ -240,9 +240,9 @@ mod tests {
             terminal: true,
         };
         assert_eq!(transition.before().len(), 2);
-        assert_eq!(transition.discounted(0.5), [-0.25 - 0.5 * 1.25, 0.0]);
+        assert_eq!(transition.discounted(0.5), (-0.25 - 0.5 * 1.25, 0.0));
         transition.terminal = false;
-        assert_eq!(transition.discounted(0.5), [-0.875, 0.125]);
+        assert_eq!(transition.discounted(0.5), (-0.875, 0.125));
     }
 
     #[test]

@@ -92,10 +92,20 @@ impl Batcher {
         train: &TrainConfig,
         device: Device,
     ) -> Self {
+        Self::encoding(maps, rl, train, device, device != Device::Cpu)
+    }
+
+    /// States are encoded on the device, or by the CPU for it.
+    fn encoding(
+        maps: Vec<(u32, Arc<World>)>,
+        rl: &RlConfig,
+        train: &TrainConfig,
+        device: Device,
+        there: bool,
+    ) -> Self {
         let cells = maps.first().expect("there are maps").1.cells();
         let encoder = Encoder::new(cells, rl);
-        let on_device =
-            (device != Device::Cpu).then(|| DeviceEncoder::new(&encoder, maps.len(), rl, device));
+        let on_device = there.then(|| DeviceEncoder::new(&encoder, maps.len(), rl, device));
         let (sight, places) = (Sight::new(rl.reach_cells), HashMap::new());
         let learns_all = train.reward_prediction > 0.0 || train.dense_terminal;
         let held = Maps { sight, held: maps.clone(), places, learns_all };
@@ -185,24 +195,22 @@ impl Batcher {
             Default::default()
         };
         let all = |rows: &[Vec<f32>]| floats(&rows.concat()).reshape([-1, count]);
-        let returns = transitions.iter().map(|transition| transition.discounted(self.discount)[0]);
-        let discounts =
-            going_on.iter().map(|(transition, _)| transition.discounted(self.discount)[1]);
-        let single = |numbers: &mut dyn Iterator<Item = f64>| {
-            floats(&numbers.map(|number| number as f32).collect::<Vec<_>>())
-        };
+        let returns = transitions.iter().map(|transition| transition.discounted(self.discount).0);
+        let returns: Vec<f32> = returns.map(|of| of as f32).collect();
+        let factors = going_on.iter().map(|(transition, _)| transition.discounted(self.discount).1);
+        let factors: Vec<f32> = factors.map(|of| of as f32).collect();
         let actions: Vec<i64> = turned.iter().map(|at| maps.action(at)).collect();
         Batch {
             map,
             window,
             action: upload(&actions, self.device),
-            reward: single(&mut { returns }),
+            reward: floats(&returns),
             next: Next {
                 of: upload(&of, self.device),
                 map: next_map,
                 window: next_window,
                 permissible: floats(&permissible).reshape([-1, count]),
-                discount: single(&mut { discounts }),
+                discount: floats(&factors),
             },
             all_rewards: maps.learns_all.then(|| all(&rewards)),
             all_terminal: maps.learns_all.then(|| all(&terminal)),
@@ -302,4 +310,58 @@ fn encode_states(
         upload(maps, device).reshape([-1, 3, cells, cells]),
         upload(windows, device).reshape([-1, 3, side, side]),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl::drawn_world as world;
+
+    fn step(map: u32, cells: &[(i32, i32)], terminal: bool) -> Transition {
+        let path = cells.iter().map(|&(row, column)| Cell::new(row, column)).collect();
+        Transition { map, path, action: 7, rewards: vec![-0.25], terminal }
+    }
+
+    /// Wherever states are encoded the batch is the same, also on a map that came later.
+    #[test]
+    fn batches_do_not_depend_on_where_states_are_encoded() {
+        let maps = ["o..#.\n.#...\n...o.\n##...\n....o", "...#.\n.....\n.#.o.\n....#\no...."];
+        let [first, second] = maps.map(|map| Arc::new(world(map, 2)));
+        let later = Arc::new(world("#...o\n.....\n..#..\n.o...\n....#", 2));
+        let (rl, train) =
+            (RlConfig { reach_cells: 2, ..RlConfig::default() }, TrainConfig::default());
+        let mut batchers = [false, true].map(|there| {
+            let maps = vec![(4, Arc::clone(&first)), (9, Arc::clone(&second))];
+            Batcher::encoding(maps, &rl, &train, Device::Cpu, there)
+        });
+        let check = |batchers: &[Batcher; 2], transitions: &[Transition]| {
+            let [here, there] = [&batchers[0], &batchers[1]]
+                .map(|batcher| batcher.batch(transitions, Some(&mut Random::keyed(&[3]))));
+            for (here, there) in [
+                (&here.map, &there.map),
+                (&here.window, &there.window),
+                (&here.next.map, &there.next.map),
+                (&here.next.window, &there.next.window),
+            ] {
+                assert_eq!(here.size(), there.size());
+                assert!((here - there).abs().max().double_value(&[]) < 1e-6);
+            }
+            let of = Vec::<i64>::try_from(&here.next.of).expect("numbers");
+            let goes_on = (0..).zip(transitions).filter(|(_, transition)| !transition.terminal);
+            assert_eq!(of, goes_on.map(|(at, _)| at).collect::<Vec<i64>>());
+        };
+        let on_second = step(9, &[(1, 1), (1, 2)], false);
+        let transitions = [
+            step(4, &[(0, 1), (0, 2), (1, 2)], false),
+            step(4, &[(1, 2), (2, 3)], true),
+            on_second,
+        ];
+        check(&batchers, &transitions);
+        for batcher in &mut batchers {
+            batcher.replace(0, 5, Arc::clone(&later));
+            assert!(batcher.holds(5) && !batcher.holds(4));
+        }
+        let [.., on_second] = transitions;
+        check(&batchers, &[step(5, &[(1, 1), (0, 2)], false), on_second]);
+    }
 }
