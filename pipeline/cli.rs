@@ -9,12 +9,14 @@ use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
-#[cfg(feature = "torch")]
-use holescout::config::TrainConfig;
 use holescout::config::{Config, Method};
-#[cfg(feature = "torch")]
-use holescout::rl::agent::DeviceChoice;
 use holescout::units::Dbm;
+
+#[cfg(feature = "torch")]
+mod train;
+
+#[cfg(feature = "torch")]
+pub(crate) use train::{DeviceName, ExportPolicyArgs, TrainArgs};
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed while running, 2 wrong usage, \
 3 invalid input.";
@@ -207,52 +209,6 @@ pub(crate) struct EvaluateArgs {
     pub(crate) output: OutputArgs,
     #[command(flatten)]
     pub(crate) judging: JudgingFlags,
-}
-
-#[cfg(feature = "torch")]
-#[derive(Debug, Args)]
-pub(crate) struct TrainArgs {
-    /// A dataset with a train and a val split
-    #[arg(long, value_name = "DATASET", value_hint = ValueHint::DirPath)]
-    pub(crate) dataset: PathBuf,
-    /// Directory of the run: checkpoints, the best policy, a log
-    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
-    pub(crate) run: PathBuf,
-    /// Where to compute: auto takes a graphics card if there is one
-    #[arg(long, value_enum, value_name = "DEVICE", default_value = "auto")]
-    pub(crate) device: DeviceName,
-    #[command(flatten)]
-    pub(crate) training: TrainFlags,
-}
-
-#[cfg(feature = "torch")]
-#[derive(Debug, Args)]
-pub(crate) struct ExportPolicyArgs {
-    /// The checkpoint, for instance RUN/best
-    #[arg(value_name = "CHECKPOINT", value_hint = ValueHint::DirPath)]
-    pub(crate) checkpoint: PathBuf,
-    #[command(flatten)]
-    pub(crate) output: OutputArgs,
-}
-
-/// A device by name.
-#[cfg(feature = "torch")]
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub(crate) enum DeviceName {
-    Auto,
-    Cpu,
-    Cuda,
-}
-
-#[cfg(feature = "torch")]
-impl DeviceName {
-    pub(crate) fn choice(self) -> DeviceChoice {
-        match self {
-            Self::Auto => DeviceChoice::Auto,
-            Self::Cpu => DeviceChoice::Cpu,
-            Self::Cuda => DeviceChoice::Cuda,
-        }
-    }
 }
 
 /// A split of a dataset, or all of them.
@@ -465,58 +421,5 @@ impl JudgingFlags {
         set(&mut evaluate.gradient_smoothing_cells, self.gradient_smoothing.as_ref());
         set(&mut evaluate.noise_db, self.noise.as_ref());
         set(&mut evaluate.stale_share, self.stale.as_ref());
-    }
-}
-
-/// Flags for `[train]`.
-#[cfg(feature = "torch")]
-#[derive(Debug, Args)]
-pub(crate) struct TrainFlags {
-    /// Take [train] from a preset, whatever the file says: paper as published, best what works best
-    #[arg(long, value_enum, value_name = "NAME")]
-    preset: Option<Preset>,
-    /// train.updates: gradient updates of the whole run
-    #[arg(long, value_name = "N")]
-    updates: Option<u64>,
-    /// train.batch: transitions in an update
-    #[arg(long, value_name = "N")]
-    batch: Option<u32>,
-    /// train.learning_rate
-    #[arg(long, value_name = "F")]
-    learning_rate: Option<f64>,
-    /// train.seed
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
-    /// train.checkpoint_every: updates between checkpoints
-    #[arg(long, value_name = "N")]
-    checkpoint_every: Option<u64>,
-    /// train.evaluate_every: updates between validations
-    #[arg(long, value_name = "N")]
-    evaluate_every: Option<u64>,
-}
-
-/// Where `[train]` begins.
-#[cfg(feature = "torch")]
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Preset {
-    Paper,
-    Best,
-}
-
-#[cfg(feature = "torch")]
-impl TrainFlags {
-    fn apply(&self, config: &mut Config) {
-        let Config { train, .. } = config;
-        match self.preset {
-            Some(Preset::Paper) => *train = TrainConfig::paper(),
-            Some(Preset::Best) => *train = TrainConfig::default(),
-            None => {}
-        }
-        set(&mut train.updates, self.updates.as_ref());
-        set(&mut train.batch, self.batch.as_ref());
-        set(&mut train.learning_rate, self.learning_rate.as_ref());
-        set(&mut train.seed, self.seed.as_ref());
-        set(&mut train.checkpoint_every, self.checkpoint_every.as_ref());
-        set(&mut train.evaluate_every, self.evaluate_every.as_ref());
     }
 }
