@@ -8,7 +8,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use holescout::config::{RlConfig, TrainConfig};
 use holescout::dataset::Record;
+use holescout::manifest::{PolicyManifest, Software};
 use holescout::store::SeekTable;
 use jsonschema::Validator;
 use serde_json::{Value, json};
@@ -52,7 +54,26 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
         ("dataset.v1", manifest(&HELSINKI.dataset)),
         ("evaluation.v1", manifest(&EVALUATION)),
         ("report.v1", vec![read_json(&EVALUATION.join("report.json"))]),
+        ("policy.v1", vec![policy()]),
     ])
+}
+
+/// The manifest of a policy; `tests/train.rs` looks at that of a real one.
+fn policy() -> Value {
+    json!(PolicyManifest {
+        schema: PolicyManifest::SCHEMA.to_owned(),
+        fingerprint: String::new(),
+        software: Software::this(),
+        weights_sha256: String::new(),
+        parameters: 7,
+        cells: 121,
+        cell_m: 4.0,
+        dataset_sha256: String::new(),
+        updates: 100,
+        score: None,
+        rl: RlConfig::default(),
+        train: TrainConfig::default(),
+    })
 }
 
 /// A small evaluation of the fixtures.
@@ -206,6 +227,9 @@ fn tampered_values_do_not_validate() {
         ("report.v1", "/groups/0/kind", json!("city")),
         ("report.v1", "/difficulty/unreachable", json!(-1)),
         ("report.v1", "/schema", json!("report.v2")),
+        ("policy.v1", "/train/loss", json!("cubic")),
+        ("policy.v1", "/cells", json!(-1)),
+        ("policy.v1", "/schema", json!("policy.v2")),
     ];
     let mut unnoticed = vec![];
     for (name, path, value) in tampered {

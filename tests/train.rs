@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
-use holescout::config::{Config, EvaluateConfig, Precision, TrainConfig};
+use holescout::config::{Config, EvaluateConfig, Precision, Split, TrainConfig};
 use holescout::dataset::{Dataset, Grids};
 use holescout::evaluate::precision;
 use holescout::rl::agent::{Agent, TrainJob, Trainer};
@@ -190,6 +190,10 @@ fn an_exported_policy_is_what_was_trained() {
     assert_eq!(read(&out.join("weights.safetensors")), read(&best.join("weights.safetensors")));
     let manifest = read_json(&out.join("manifest.json"));
     assert_eq!(manifest["updates"], 12);
+    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/policy.v1.json");
+    let schema = jsonschema::validator_for(&read_json(&schema)).expect("a schema");
+    assert!(schema.is_valid(&manifest), "{manifest}");
+    assert!(manifest["score"].is_number(), "the best checkpoint was judged");
     assert_eq!(manifest["train"]["widths"], Value::from(vec![4; 7]));
     let card = String::from_utf8(read(&out.join("README.md"))).expect("text");
     assert!(!card.contains("{{"), "{card}");
@@ -292,6 +296,32 @@ fn too_little_memory_is_told_before_anything_begins() {
     assert_eq!(failed.code, Some(1), "{failed:?}");
     assert_says(&failed.stderr, &["MB are free", "train.replay", "train.batch"]);
     assert!(!out.exists());
+}
+
+/// Maps that change faster than a batch comes together are waited for, not for ever.
+#[test]
+fn a_single_map_that_changes_at_every_step_can_be_learned_from() {
+    let dataset = Arc::new(Dataset::open(&HELSINKI.dataset).expect("opened"));
+    let config = Config::default();
+    let train = TrainConfig {
+        batch: 32,
+        episodes: 4,
+        warmup: 32,
+        replay: 256,
+        refresh_every: 1,
+        widths: [2; 7],
+        precision: Precision::Float32,
+        ..config.train
+    };
+    let job = TrainJob { dataset_sha256: "", rl: &config.rl, train: &train, device: Device::Cpu };
+    let source = MapSource::split(&dataset, Split::Train, &config.rl, 0, 0);
+    let pool = source.fill().expect("a map");
+    assert_eq!(pool.maps().len(), 1);
+    let before = pool.maps()[0].0;
+    let mut trainer = Trainer::new(job, pool).expect("there is something to learn");
+    (0..4).for_each(|_| trainer.update().expect("maps are read"));
+    assert_eq!(trainer.updates(), 4);
+    assert_ne!(trainer.pool().maps()[0].0, before, "it was replaced");
 }
 
 /// The random walk, made for any map.

@@ -31,6 +31,7 @@ pub struct PolicyManifest {
     pub updates: u64,
     /// Mean precision after a few steps on the validation split or a sample of it, if it was judged
     /// then: the greatest of all while it was trained, and so optimistic.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub score: Option<f64>,
     /// The task.
     pub rl: RlConfig,

@@ -373,8 +373,10 @@ impl<'a> Trainer<'a> {
     /// If a map cannot be read.
     pub fn act(&mut self) -> Result<(), PoolError> {
         let train = self.job.train;
-        if self.counters.steps > 0 && self.counters.steps.is_multiple_of(train.refresh_every.into())
-        {
+        let steps = self.counters.steps;
+        let is_due = steps > 0 && steps.is_multiple_of(train.refresh_every.into());
+        // A map that goes takes its transitions along: as long as there are too few, all stay.
+        if is_due && self.learnable() >= train.batch as usize {
             self.refresh()?;
         }
         let mut random = Random::keyed(&[train.seed, ACTING, self.counters.steps]);
