@@ -30,6 +30,7 @@ pub mod manifest;
 pub mod osm;
 pub mod progress;
 pub mod radio_map;
+pub mod random;
 pub mod rasterise;
 pub mod rl;
 pub mod store;

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// Modules of the library, lowest first; each imports only from lower lines.
 const LEVELS: [&[&str]; 9] = [
-    &["units", "error", "progress", "config"],
+    &["units", "error", "progress", "random", "config"],
     &["crs"],
     &["grid", "building"],
     &["store"],

@@ -108,6 +108,12 @@ impl Dataset {
         &self.root
     }
 
+    /// The records of a split, in the order of their names.
+    #[must_use]
+    pub fn ids_of(&self, split: Split) -> Vec<TileId> {
+        self.ids().into_iter().filter(|&(_, of)| of == split).map(|(id, _)| id).collect()
+    }
+
     /// Reads the record of a tile; the frame's checksum is verified.
     ///
     /// # Errors

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::cell::{Actions, Cell};
 use super::flight::{fly, reward};
-use super::random::Random;
 use super::sight::{ActionSet, Sight};
 use super::world::World;
+use crate::random::Random;
 
 /// Keys the random numbers of episodes.
 const EPISODES: u64 = 20;

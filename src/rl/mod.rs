@@ -20,13 +20,13 @@ mod oracle;
 pub mod policy;
 mod pool;
 mod priorities;
-mod random;
 mod replay;
 mod returns;
 mod sight;
 mod symmetry;
 mod world;
 
+pub use crate::random::Random;
 pub use cell::{Actions, Cell};
 pub use distance::neighbourhood;
 pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
@@ -37,7 +37,6 @@ pub use flight::{
 pub use oracle::Hops;
 pub use pool::{MapPool, MapSource, PoolError, PoolState, load_sample, load_split};
 pub use priorities::Priorities;
-pub use random::Random;
 pub use replay::{MAX_STEPS, Replay, Transition};
 pub use returns::Recent;
 pub use sight::{ActionSet, Sight};

@@ -8,12 +8,12 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::env::NothingToLearn;
-use super::random::Random;
 use super::world::World;
 use crate::config::{RlConfig, Split};
 use crate::dataset::{Dataset, Loader, LoaderError, LoaderOptions, ReadError};
 use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
+use crate::random::Random;
 
 /// Threads that decode maps while others train.
 const DECODERS: NonZero<usize> = NonZero::<usize>::MIN;
@@ -30,8 +30,7 @@ pub fn load_split(
     split: Split,
     config: &RlConfig,
 ) -> Result<Vec<Arc<World>>, ReadError> {
-    let ids = dataset.ids().into_iter().filter(|&(_, of)| of == split).map(|(id, _)| id);
-    load(dataset, &ids.collect::<Vec<_>>(), config)
+    load(dataset, &dataset.ids_of(split), config)
 }
 
 /// At most `count` maps of a split, chosen by `seed`, in the order of their names.
@@ -45,8 +44,7 @@ pub fn load_sample(
     count: usize,
     seed: u64,
 ) -> Result<Vec<Arc<World>>, PoolError> {
-    let ids = dataset.ids().into_iter().filter(|&(_, of)| of == split).map(|(id, _)| id);
-    let mut ids = Random::keyed(&[seed, SAMPLE]).sample(&ids.collect::<Vec<_>>(), count);
+    let mut ids = Random::keyed(&[seed, SAMPLE]).sample(&dataset.ids_of(split), count);
     if ids.is_empty() {
         return Err(PoolError::Empty { split });
     }
@@ -205,7 +203,7 @@ impl MapSource {
                 (dataset, split, config, memory_bytes, seed)
             }
         };
-        let records = dataset.ids().iter().filter(|&&(_, of)| of == split).count();
+        let records = dataset.ids_of(split).len();
         let fitting = memory_bytes / World::bytes(dataset.manifest().cells as usize);
         if records > 0 && records <= fitting {
             let maps = load_split(&dataset, split, &config)?;
@@ -233,6 +231,12 @@ enum Opened {
 type Numbered = Vec<(u32, Arc<World>)>;
 
 impl MapPool {
+    /// Memory that the maps of a split of `records` take at most, and those that are read ahead.
+    #[must_use]
+    pub fn bytes(records: usize, cells: usize, memory_bytes: usize) -> usize {
+        (records * World::bytes(cells)).min(memory_bytes + memory_bytes / AHEAD)
+    }
+
     /// Those of the maps that can teach something.
     fn of(maps: Numbered, stream: Option<Stream>) -> Result<Self, PoolError> {
         let all = maps.len();

@@ -4,7 +4,7 @@
 //! as many steps as the tree is high. A parent is always computed from its two children: nothing
 //! drifts, and equal priorities make an equal tree whatever happened before.
 
-use super::random::Random;
+use crate::random::Random;
 
 /// What an error is raised by, so that no transition is never drawn.
 const LEAST: f64 = 1e-3;

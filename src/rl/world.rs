@@ -3,11 +3,11 @@
 use ndarray::Array2;
 
 use super::cell::{Actions, Cell};
-use super::random::Random;
 use crate::config::RlConfig;
 use crate::dataset::{Grids, Record};
 use crate::grid::TileId;
 use crate::radio_map::MASK_BUILDING;
+use crate::random::Random;
 
 const WORD: usize = u64::BITS as usize;
 

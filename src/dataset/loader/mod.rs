@@ -196,10 +196,9 @@ impl<T> Drop for Loader<T> {
 
 /// The records of a split, in the order of [`Dataset::ids`].
 fn ids_of(dataset: &Dataset, split: Split) -> Result<Arc<[TileId]>, LoaderError> {
-    let all = dataset.ids();
-    let ids: Arc<[TileId]> = all.iter().filter(|(_, of)| *of == split).map(|(id, _)| *id).collect();
+    let ids: Arc<[TileId]> = dataset.ids_of(split).into();
     if ids.is_empty() {
-        let has_records = |split: &Split| all.iter().any(|(_, of)| of == split);
+        let has_records = |split: &Split| !dataset.ids_of(*split).is_empty();
         let found = Split::ALL.into_iter().filter(has_records).collect();
         return Err(LoaderError::Empty { root: dataset.root().to_owned(), split, found });
     }

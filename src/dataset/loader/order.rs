@@ -9,6 +9,8 @@
 
 use std::num::NonZero;
 
+use crate::random::{GOLDEN, mix};
+
 /// The shuffled order of a split's records, epoch after epoch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Order {
@@ -19,14 +21,6 @@ pub struct Order {
 /// Four make a Feistel network pseudorandom on large numbers. Splits of few records need more:
 /// over 10^6 orders of 4 to 7 records, which record follows which is visibly uneven with 8.
 const ROUNDS: u64 = 12;
-const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
-
-/// The finaliser of `SplitMix64` (Steele, Lea and Flood, 2014).
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
-}
 
 impl Order {
     /// The order of a number of records by a seed.

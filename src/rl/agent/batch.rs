@@ -123,14 +123,15 @@ impl Batcher {
         batcher
     }
 
-    /// Puts another map in the place of one.
-    pub fn replace(&mut self, place: usize, number: u32, map: Arc<World>) {
+    /// Puts another map in the place of one; returns the number of that one.
+    pub fn replace(&mut self, place: usize, number: u32, map: Arc<World>) -> u32 {
         if let Some(on_device) = &mut self.on_device {
             on_device.put(place, &map);
         }
-        self.maps.places.remove(&self.maps.held[place].0);
+        let (gone, _) = std::mem::replace(&mut self.maps.held[place], (number, map));
+        self.maps.places.remove(&gone);
         self.maps.places.insert(number, place);
-        self.maps.held[place] = (number, map);
+        gone
     }
 
     /// Whether there is a map of this number.

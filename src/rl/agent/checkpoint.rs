@@ -135,28 +135,13 @@ pub struct Checkpoint {
     adam_updates: i32,
 }
 
-/// The run that a checkpoint belongs to.
-#[derive(Debug)]
-pub(super) struct Run<'a> {
-    rl: &'a RlConfig,
-    train: &'a TrainConfig,
-    dataset_sha256: &'a str,
-}
-
-impl<'a> Run<'a> {
-    pub(super) fn of(job: &TrainJob<'a>) -> Self {
-        let TrainJob { rl, train, dataset_sha256, .. } = *job;
-        Self { rl, train, dataset_sha256 }
-    }
-}
-
 fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
     CheckpointError::Format { path: path.to_owned(), reason: reason.to_string() }
 }
 
 impl Checkpoint {
     pub(super) fn new(
-        run: &Run<'_>,
+        job: &TrainJob<'_>,
         map: &World,
         counters: Counters,
         totals: TotalsState,
@@ -164,9 +149,9 @@ impl Checkpoint {
     ) -> Self {
         Self {
             schema: SCHEMA.to_owned(),
-            rl: run.rl.clone(),
-            train: run.train.clone(),
-            dataset_sha256: run.dataset_sha256.to_owned(),
+            rl: job.rl.clone(),
+            train: job.train.clone(),
+            dataset_sha256: job.dataset_sha256.to_owned(),
             cells: map.cells() as u32,
             cell_m: map.cell_m(),
             counters,
@@ -233,7 +218,11 @@ impl Checkpoint {
     }
 
     /// Demands that it was made by this run.
-    pub(super) fn demand(&self, directory: &Path, run: &Run<'_>) -> Result<(), CheckpointError> {
+    pub(super) fn demand(
+        &self,
+        directory: &Path,
+        job: &TrainJob<'_>,
+    ) -> Result<(), CheckpointError> {
         let mut differences = Vec::new();
         let mut compare = |key: &str, expected: &serde_json::Value, found: &serde_json::Value| {
             if expected != found {
@@ -241,10 +230,10 @@ impl Checkpoint {
             }
         };
         let value = |text: &str| serde_json::Value::from(text);
-        compare("dataset", &value(run.dataset_sha256), &value(&self.dataset_sha256));
+        compare("dataset", &value(job.dataset_sha256), &value(&self.dataset_sha256));
         let sections = [
-            ("rl", serde_json::json!(run.rl), serde_json::json!(self.rl)),
-            ("train", serde_json::json!(run.train), serde_json::json!(self.train)),
+            ("rl", serde_json::json!(job.rl), serde_json::json!(self.rl)),
+            ("train", serde_json::json!(job.train), serde_json::json!(self.train)),
         ];
         for (section, expected, found) in &sections {
             for (key, expected) in expected.as_object().into_iter().flatten() {
@@ -329,10 +318,7 @@ impl Tensors {
 }
 
 /// Writes tensors, whatever device they are on.
-pub(super) fn write_tensors(
-    path: &Path,
-    tensors: &[(String, Tensor)],
-) -> Result<(), CheckpointError> {
+fn write_tensors(path: &Path, tensors: &[(String, Tensor)]) -> Result<(), CheckpointError> {
     let tensors: Vec<(&str, Tensor)> =
         tensors.iter().map(|(name, one)| (&**name, one.to_device(Device::Cpu))).collect();
     Tensor::write_safetensors(&tensors, path).map_err(|error| invalid(path, &error))
@@ -386,8 +372,20 @@ pub fn load_weights(
 ) -> Result<(TrainConfig, QNetwork), CheckpointError> {
     let (rl, train) = trained(directory)?;
     demand_encoding(directory, config, &rl)?;
-    let mut network = QNetwork::new(cells, config.reach_cells, &train, device)?;
+    let network = read_network(directory, cells, config.reach_cells, &train, device)?;
+    Ok((train, network))
+}
+
+/// The policy of a directory, trained so.
+pub(super) fn read_network(
+    directory: &Path,
+    cells: usize,
+    reach: u32,
+    train: &TrainConfig,
+    device: Device,
+) -> Result<QNetwork, CheckpointError> {
+    let mut network = QNetwork::new(cells, reach, train, device)?;
     let weights = Tensors::read(&directory.join(WEIGHTS))?;
     network.set(&weights.of(&network, "")?);
-    Ok((train, network))
+    Ok(network)
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::checkpoint::{Checkpoint, CheckpointError, WEIGHTS, load_weights};
+use super::checkpoint::{Checkpoint, CheckpointError, WEIGHTS, read_network};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{PolicyManifest, Software, fingerprint, to_json};
 use crate::store::{OutputDir, OutputError, sha256_bytes};
@@ -46,13 +46,13 @@ pub fn export_policy(
     out: &Path,
     overwrite: bool,
 ) -> Result<PolicyManifest, ExportError> {
-    let state = Checkpoint::read(checkpoint)?;
+    let Checkpoint { rl, train, dataset_sha256, counters, cells, cell_m, .. } =
+        Checkpoint::read(checkpoint)?;
     // Weights that do not fit are found here, and not by whom they are given to.
-    let device = tch::Device::Cpu;
-    let (_, network) = load_weights(checkpoint, state.cells as usize, &state.rl, device)?;
+    let (side, device) = (cells as usize, tch::Device::Cpu);
+    let network = read_network(checkpoint, side, rl.reach_cells, &train, device)?;
     let path = checkpoint.join(WEIGHTS);
     let weights = std::fs::read(&path).map_err(FileError::new("read", &path))?;
-    let Checkpoint { rl, train, dataset_sha256, counters, cells, cell_m, .. } = state;
     let weights_sha256 = sha256_bytes(&weights).sha256;
     let score = counters.best.filter(|&(_, update)| update == counters.updates);
     let manifest = PolicyManifest {

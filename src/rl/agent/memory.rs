@@ -7,32 +7,25 @@ use super::network::{QNetwork, ShapeError, activations};
 use crate::config::{Config, Split};
 use crate::dataset::Dataset;
 use crate::error::{Fault, HasFault};
-use crate::rl::{CHANNELS, Priorities, Replay, World};
+use crate::rl::{CHANNELS, MapPool, Priorities, Replay, World};
 
 /// Copies of a batch's states that are there at a time: in buffers, as tensors, as computed with.
 const STATE_COPIES: usize = 4;
 /// Copies of what layers make of them: results, gradients, what is kept for the next batch.
 const LAYER_COPIES: usize = 3;
 
-/// Why training cannot begin.
+/// There is too little memory.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MemoryError {
-    /// The network does not fit the maps.
-    #[error(transparent)]
-    Shape(#[from] ShapeError),
-    /// There is too little memory.
-    #[error(
-        "training needs about {} MB ({} MB maps, {} MB replay, {} MB network and batch), {} MB are \
-         free: lower train.map_memory_mb, train.replay or train.batch",
-        mb(need.bytes()), mb(need.map_bytes), mb(need.replay_bytes), mb(need.network_bytes), mb(*free)
-    )]
-    TooLittle {
-        /// What it needs.
-        need: MemoryNeed,
-        /// What is free, in bytes.
-        free: usize,
-    },
+#[error(
+    "training needs about {} MB ({} MB maps, {} MB replay, {} MB network and batch), {} MB are free: \
+     lower train.map_memory_mb, train.replay or train.batch",
+    mb(need.bytes()), mb(need.map_bytes), mb(need.replay_bytes), mb(need.network_bytes), mb(*free)
+)]
+pub struct MemoryError {
+    /// What it needs.
+    pub need: MemoryNeed,
+    /// What is free, in bytes.
+    pub free: usize,
 }
 
 fn mb(bytes: usize) -> usize {
@@ -41,10 +34,7 @@ fn mb(bytes: usize) -> usize {
 
 impl HasFault for MemoryError {
     fn fault(&self) -> Fault {
-        match self {
-            Self::Shape(error) => error.fault(),
-            Self::TooLittle { .. } => Fault::Running,
-        }
+        Fault::Running
     }
 }
 
@@ -67,12 +57,11 @@ impl MemoryNeed {
     pub fn new(dataset: &Dataset, config: &Config, device: Device) -> Result<Self, ShapeError> {
         let Config { rl, train, .. } = config;
         let cells = dataset.manifest().cells as usize;
-        let records = |split| dataset.ids().iter().filter(|&&(_, of)| of == split).count();
-        let map = World::bytes(cells);
+        let records = |split| dataset.ids_of(split).len();
         let budget = train.map_memory_mb as usize * 1_000_000;
-        // Beyond the budget there is what is read ahead.
-        let train_bytes = (records(Split::Train) * map).min(budget + budget / 16);
-        let val_bytes = records(Split::Val).min(train.evaluate_maps as usize) * map;
+        let train_bytes = MapPool::bytes(records(Split::Train), cells, budget);
+        let judged = records(Split::Val).min(train.evaluate_maps as usize);
+        let val_bytes = judged * World::bytes(cells);
         let (max_steps, replay) = (rl.max_steps as usize, train.replay as usize);
         let prioritised = train.priority_exponent > 0.0;
         let priorities = if prioritised { Priorities::bytes(replay) } else { 0 };
@@ -100,7 +89,7 @@ impl MemoryNeed {
     /// Demands that so much is free, within the limits of a container too.
     ///
     /// # Errors
-    /// [`MemoryError::TooLittle`].
+    /// [`MemoryError`].
     pub fn demand(self) -> Result<(), MemoryError> {
         let mut system = System::new();
         system.refresh_memory();
@@ -108,7 +97,7 @@ impl MemoryNeed {
         let free = usize::try_from(system.available_memory().min(limit)).unwrap_or(usize::MAX);
         // Zero is what systems tell that do not know.
         if free > 0 && self.bytes() > free {
-            return Err(MemoryError::TooLittle { need: self, free });
+            return Err(MemoryError { need: self, free });
         }
         Ok(())
     }

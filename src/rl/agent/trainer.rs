@@ -11,7 +11,7 @@ use tch::{Device, Tensor};
 
 use super::adam::Adam;
 use super::batch::{Batcher, flags};
-use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory, Run};
+use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory};
 use super::ddqn::loss;
 use super::device::upload;
 use super::network::{QNetwork, ShapeError};
@@ -154,7 +154,7 @@ impl<'a> Trainer<'a> {
         directory: &Path,
     ) -> Result<Self, TrainError> {
         let checkpoint = Checkpoint::read(directory)?;
-        checkpoint.demand(directory, &Run::of(&job))?;
+        checkpoint.demand(directory, &job)?;
         let damaged = |what: &str| CheckpointError::Format {
             path: directory.to_owned(),
             reason: format!("its {what} do not fit this run"),
@@ -204,13 +204,8 @@ impl<'a> Trainer<'a> {
             replay: replay.to_vec().into(),
             priorities: priorities.unwrap_or_default().into(),
         };
-        let checkpoint = Checkpoint::new(
-            &Run::of(&self.job),
-            &self.pool.maps()[0].1,
-            self.counters,
-            totals,
-            memory,
-        );
+        let checkpoint =
+            Checkpoint::new(&self.job, &self.pool.maps()[0].1, self.counters, totals, memory);
         checkpoint.write(directory, [&self.policy, &self.target], &self.adam)?;
         Ok(())
     }
@@ -425,16 +420,15 @@ impl<'a> Trainer<'a> {
 
     /// Replaces a map if there are others. The episodes on it end there.
     fn refresh(&mut self) -> Result<(), PoolError> {
-        let numbers: Vec<u32> = self.pool.maps().iter().map(|&(number, _)| number).collect();
         let Some(place) = self.pool.refresh()? else { return Ok(()) };
         let (number, map) = &self.pool.maps()[place];
+        let gone = self.batcher.replace(place, *number, Arc::clone(map));
         let Self { recent, returns, replay, priorities, .. } = self;
         self.environment.replace(place, map, |slot, visited| {
             returns[slot] = 0.0;
             let push = |transition| remember(replay, priorities.as_mut(), &transition);
-            recent[slot].cut((numbers[place], visited), false, push);
+            recent[slot].cut((gone, visited), false, push);
         });
-        self.batcher.replace(place, *number, Arc::clone(map));
         Ok(())
     }
 

@@ -141,8 +141,8 @@ fn transposed_blur(cells: usize, values: &[f64], kernel: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
     use crate::rl::flight::Flight;
-    use crate::rl::random::Random;
     use crate::rl::sight::Sight;
     use crate::rl::world::tests::world;
 

@@ -14,9 +14,9 @@ pub use shadow::ShadowSeeker;
 pub use walk::{OptimalWay, RandomWalk, WallWalk};
 
 use super::flight::Flight;
-use super::random::Random;
 use super::sight::ActionSet;
 use super::world::World;
+use crate::random::Random;
 
 /// What a policy sees of a flight.
 #[derive(Debug)]

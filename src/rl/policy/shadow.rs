@@ -85,8 +85,8 @@ fn is_hidden(world: &World, cell: Cell) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
     use crate::rl::flight::Flight;
-    use crate::rl::random::Random;
     use crate::rl::sight::Sight;
     use crate::rl::world::tests::world;
 

@@ -97,8 +97,8 @@ impl Policy for OptimalWay<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
     use crate::rl::flight::Flight;
-    use crate::rl::random::Random;
     use crate::rl::sight::Sight;
     use crate::rl::world::tests::world;
 
