@@ -12,9 +12,11 @@ use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
+mod rsrp;
 #[cfg(feature = "torch")]
 mod train;
 
+pub(crate) use rsrp::RsrpFlags;
 #[cfg(feature = "torch")]
 pub(crate) use train::{DeviceName, ExportPolicyArgs, TrainArgs};
 
@@ -78,7 +80,10 @@ impl Command {
     pub(crate) fn apply(&self, config: &mut Config) {
         match self {
             Self::Rasterise(args) => args.tiles.apply(config),
-            Self::ImportRsrp(args) => args.rsrp.apply(config),
+            Self::ImportRsrp(args) => {
+                args.rsrp.apply(config);
+                config.rsrp.strict |= args.strict;
+            }
             Self::Shard(args) => args.dataset.apply(config),
             Self::Evaluate(args) => {
                 args.judging.apply(config);
@@ -145,6 +150,9 @@ pub(crate) struct ImportArgs {
     pub(crate) output: OutputArgs,
     #[command(flatten)]
     pub(crate) rsrp: RsrpFlags,
+    /// rsrp.strict: reject maps for warnings too, and fail if any map is rejected
+    #[arg(long)]
+    pub(crate) strict: bool,
 }
 
 #[derive(Debug, Args)]
@@ -300,25 +308,6 @@ impl TilesFlags {
         set(&mut buildings.default_height_m, self.default_height.as_ref());
         set(&mut filter.min_buildings, self.min_buildings.as_ref());
         set(&mut filter.min_built, self.min_built.as_ref());
-    }
-}
-
-/// Flags for `[rsrp]`.
-#[derive(Debug, Args)]
-pub(crate) struct RsrpFlags {
-    /// rsrp.floor_dbm: what cells without a path hold, in dBm
-    #[arg(long, value_name = "DBM", allow_hyphen_values = true)]
-    floor: Option<f64>,
-    /// rsrp.max_array_mib: larger arrays are rejected unread, in MiB
-    #[arg(long, value_name = "MIB")]
-    max_array: Option<u32>,
-}
-
-impl RsrpFlags {
-    fn apply(&self, config: &mut Config) {
-        let Config { rsrp, .. } = config;
-        set(&mut rsrp.floor_dbm, self.floor.map(Dbm).as_ref());
-        set(&mut rsrp.max_array_mib, self.max_array.as_ref());
     }
 }
 

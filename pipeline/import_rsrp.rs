@@ -1,7 +1,9 @@
 //! `holescout import-rsrp`.
 
+use std::collections::BTreeMap;
+
 use holescout::config::Config;
-use holescout::manifest::RsrpManifest;
+use holescout::manifest::{MapWarning, RsrpManifest, WarningCode};
 use holescout::progress::Progress;
 use holescout::radio_map::{ImportJob, import_maps};
 use serde_json::json;
@@ -23,10 +25,14 @@ pub(crate) fn run(
         overwrite: args.output.overwrite,
     };
     let manifest = import_maps(job, console)?;
-    for entry in &manifest.maps {
-        for warning in &entry.warnings {
-            console.note(&format!("warning: {}: {warning}", entry.source.file));
-        }
+    for (code, maps) in warnings(&manifest) {
+        let (example, warning) = &maps[0];
+        let count = maps.len();
+        console.note(&format!(
+            "warning: {}: {count} maps (import.csv), for example {example}: {}",
+            code.name(),
+            warning.text
+        ));
     }
     if manifest.radio.len() > 1 {
         let count = manifest.radio.len();
@@ -34,7 +40,21 @@ pub(crate) fn run(
             "warning: the maps were computed in {count} different ways (see radio in manifest.json)"
         ));
     }
-    Report::new(text(&manifest), &summary(&manifest))
+    let report = Report::new(text(&manifest), &summary(&manifest))?;
+    let rejected = rejected(&manifest);
+    let fails = config.rsrp.strict && rejected > 0;
+    Ok(if fails { report.failed(format!("{rejected} maps rejected")) } else { report })
+}
+
+/// Maps by what they are warned of, each with its file.
+fn warnings(manifest: &RsrpManifest) -> BTreeMap<WarningCode, Vec<(&str, &MapWarning)>> {
+    let mut by_code: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    for entry in &manifest.maps {
+        for warning in &entry.warnings {
+            by_code.entry(warning.code).or_default().push((entry.source.file.as_str(), warning));
+        }
+    }
+    by_code
 }
 
 fn rejected(manifest: &RsrpManifest) -> u64 {
@@ -42,12 +62,17 @@ fn rejected(manifest: &RsrpManifest) -> u64 {
 }
 
 fn summary(manifest: &RsrpManifest) -> serde_json::Value {
+    let warnings = warnings(manifest);
     json!({
         "stage": "import-rsrp",
         "imported": manifest.maps.len(),
         "rejected": rejected(manifest),
         "rejected_by_code": manifest.rejected,
-        "warnings": manifest.maps.iter().map(|entry| entry.warnings.len()).sum::<usize>(),
+        "warnings": warnings.values().map(Vec::len).sum::<usize>(),
+        "warnings_by_code": warnings
+            .iter()
+            .map(|(code, maps)| (code.name(), maps.len()))
+            .collect::<BTreeMap<_, _>>(),
         "radio_configurations": manifest.radio.len(),
     })
 }
@@ -57,7 +82,8 @@ fn text(manifest: &RsrpManifest) -> String {
         manifest.rejected.iter().map(|(code, count)| format!("{count} {code}")).collect();
     let reasons = if codes.is_empty() { String::new() } else { format!(": {}", codes.join(", ")) };
     format!(
-        "{} maps imported, {} rejected{reasons} (rejected.csv lists them), {} other files ignored\n",
+        "{} maps imported, {} rejected{reasons} (rejected.csv lists them), \
+         {} other files ignored; import.csv tells how good each map is\n",
         manifest.maps.len(),
         rejected(manifest),
         manifest.ignored.len(),

@@ -173,7 +173,7 @@ fn check_imports(cases: &[(Producer, u64)]) {
         .iter()
         .zip(&SITE.ids)
         .map(|((producer, seed), tile)| {
-            let truth = physical(*seed, producer.window.cells());
+            let truth = physical(*seed, tile, producer.window);
             producer.write(&truth, &maps, tile);
             truth
         })
@@ -368,7 +368,7 @@ fn maps_of_other_inputs_are_replaced_only_on_request() {
     run(import(&maps, &SITE.tiles, &out).arg("--overwrite")).succeeds();
     let names: Vec<String> = tree(&out).into_keys().collect();
     let map = format!("{}.npz", SITE.ids[1]);
-    assert_eq!(names, ["SHA256SUMS", "manifest.json", "rejected.csv", &map]);
+    assert_eq!(names, ["SHA256SUMS", "import.csv", "manifest.json", "rejected.csv", &map]);
     run(&mut verify(&out)).succeeds();
 }
 
@@ -377,7 +377,7 @@ fn maps_of_other_inputs_are_replaced_only_on_request() {
 fn a_changed_sidecar_is_another_input() {
     let dir = temporary_dir();
     let (maps, out) = (dir.path().join("maps"), dir.path().join("rsrp"));
-    let values = npy(&good_values(), Layout::plain(Float::F4));
+    let values = npy(&good_values(&SITE.ids[0]), Layout::plain(Float::F4));
     let mut metadata = metadata(&SITE.ids[0], Window::Coarse);
     metadata["value_kind"] = json!("path_gain_linear");
     write(&maps.join("map.npy"), &values);

@@ -10,12 +10,12 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use ndarray::{Array2, s};
+use ndarray::{Array2, Axis, s};
 use serde_json::{Value, json};
 use zip::CompressionMethod;
 
 use pipeline::importing::{Import, Rejected};
-use pipeline::maps::{DROPPED_TILE, SITE, Window, good_values, metadata, write_good, write_npz};
+use pipeline::maps::{DROPPED_TILE, SITE, Window, metadata, write_good, write_npz};
 use pipeline::numpy::{Float, Layout, npy, npy_raw, npy_text, npz};
 use pipeline::{assert_says, read_json, run, shard, tree, write};
 
@@ -55,6 +55,11 @@ impl Draft {
     }
 }
 
+/// A sound map of the first tile, row 0 south.
+fn good_values() -> Array2<f64> {
+    pipeline::maps::good_values(&SITE.ids[0])
+}
+
 fn f4(values: &Array2<f64>) -> Vec<u8> {
     npy(values, Layout::plain(Float::F4))
 }
@@ -89,6 +94,14 @@ macro_rules! spoiled {
             $draft.write(import);
         }
     };
+}
+
+/// A map as if its first rows and columns had been lost and what follows had moved up.
+fn moved(values: &Array2<f64>, rows: usize, columns: usize) -> Array2<f64> {
+    let (height, width) = values.dim();
+    Array2::from_shape_fn((height, width), |(row, column)| {
+        values[[(row + rows) % height, (column + columns) % width]]
+    })
 }
 
 /// Codes, files that cause them, and words that must be in expected, found or mend.
@@ -208,22 +221,14 @@ const CASES: &[(&str, Spoil, &[&str])] = &[
         &["121, 120", "square"],
     ),
     (
-        "wrong_shape",
-        spoiled!(bad => {
-            let gains = bad.values.split_off(bad.values.len() - 4 * 14641);
-            bad.values = npy_raw("'<f4'", false, "(121, 121, 1)", &gains);
-        }),
-        &["121, 121, 1", "[1, n, n]"],
-    ),
-    (
         "several_transmitters",
         spoiled!(bad => bad.values = cube("(3, 121, 121)")),
-        &["3", "one file a transmitter"],
+        &["3", "--tx", "one file a transmitter"],
     ),
     (
         "several_transmitters",
         spoiled!(bad => bad.values = cube("(121, 121, 3)")),
-        &["3", "one file a transmitter"],
+        &["3", "--tx", "one file a transmitter"],
     ),
     (
         "cell_size_contradicts_shape",
@@ -289,25 +294,125 @@ const CASES: &[(&str, Spoil, &[&str])] = &[
         &["path_gain_linear from 0 to 1"],
     ),
     (
-        "value_out_of_range",
+        "wrong_value_kind",
         spoiled!(bad => {
             bad.in_decibels(0.0);
             bad.array = "path_loss_db";
         }),
-        &["path_loss_db above 0"],
+        &["path_loss_db", "the values fit path_gain_db"],
     ),
     (
-        "value_out_of_range",
+        "wrong_value_kind",
         spoiled!(bad => {
             bad.in_decibels(0.0);
             bad.values = f4(&decibels(0.0).mapv(|gain| -gain));
         }),
-        &["path_gain_db below 0"],
+        &["path_gain_db", "the values fit path_loss_db"],
     ),
     (
-        "value_out_of_range",
+        "wrong_value_kind",
         spoiled!(bad => { bad.array = "rss_w"; bad.set("tx_power_dbm", json!(-80)); }),
-        &["rss_w", "power"],
+        &["rss_w", "-80 dBm", "the values fit path_gain_linear"],
+    ),
+    (
+        "wrong_value_kind",
+        spoiled!(bad => { bad.in_decibels(-200.0); bad.array = "path_gain"; bad.set("no_path_value", json!(-200)); }),
+        &["path_gain_linear", "the values fit path_gain_db"],
+    ),
+    (
+        "wrong_value_kind",
+        spoiled!(bad => {
+            let dbw = decibels(-200.0).mapv(|gain| if gain > -200.0 { gain + 15.0 - 30.0 } else { gain });
+            (bad.array, bad.values) = ("rss_dbm", f4(&dbw));
+            bad.set("no_path_value", json!(-200));
+        }),
+        &["rss_dbm", "-30.", "dBW: add 30 dB"],
+    ),
+    (
+        "wrong_value_kind",
+        spoiled!(bad => {
+            let milliwatts = good_values().mapv(|gain| gain * 10.0_f64.powf(1.5));
+            (bad.array, bad.values) = ("rss_w", f4(&milliwatts));
+        }),
+        &["rss_w", "mW: divide by 1000"],
+    ),
+    (
+        "wrong_value_kind",
+        spoiled!(bad => {
+            let carrier = decibels(-200.0).mapv(|gain| if gain > -200.0 { gain + 15.0 + 30.8 } else { gain });
+            (bad.array, bad.values) = ("rsrp_dbm", f4(&carrier));
+            bad.set("no_path_value", json!(-200));
+            bad.set("tx_power_dbm", json!(45.8));
+            bad.set("tx_power_is", json!("total"));
+            bad.set("n_subcarriers", json!(1200));
+        }),
+        &["rsrp_dbm", "values of the whole carrier"],
+    ),
+    (
+        "wrong_value_kind",
+        spoiled!(bad => bad.values = f4(&(good_values() * 1e4))),
+        &["path_gain_linear", "correct tx_power_dbm"],
+    ),
+    (
+        "wrong_orientation",
+        spoiled!(bad => bad.set("row_order", json!("north_first"))),
+        &["flipped north to south (np.flipud)", "row_order"],
+    ),
+    (
+        "wrong_orientation",
+        spoiled!(bad => bad.values = f4(&good_values().reversed_axes())),
+        &["once it is transposed (.T), it does"],
+    ),
+    (
+        "wrong_orientation",
+        spoiled!(bad => {
+            bad.set("row_order", json!("north_first"));
+            let mut north_first = good_values();
+            north_first.invert_axis(Axis(0));
+            bad.values = f4(&north_first.reversed_axes());
+        }),
+        &["once it is transposed (.T), it does"],
+    ),
+    (
+        "wrong_orientation",
+        spoiled!(bad => {
+            let mut values = good_values();
+            values.invert_axis(Axis(1));
+            bad.values = f4(&values);
+        }),
+        &["flipped east to west (np.fliplr)", "west to east"],
+    ),
+    (
+        "shifted",
+        // Three rows of the south are lost: all else lies three cells too far south.
+        spoiled!(bad => bad.values = f4(&moved(&good_values(), 3, 0))),
+        &["3 cells south", "center the map"],
+    ),
+    (
+        "shifted",
+        spoiled!(bad => bad.values = f4(&moved(&good_values(), 0, 1))),
+        &["1 cell west", "center the map"],
+    ),
+    (
+        "wrong_tile",
+        spoiled!(bad => bad.metadata = metadata(&SITE.ids[1], Window::Coarse)),
+        &["it fits the buildings of utm35n_", "location_id"],
+    ),
+    (
+        "buildings_disagree",
+        // Far from where it belongs, and on no other tile's buildings either.
+        spoiled!(bad => bad.values = f4(&moved(&good_values(), 40, 50))),
+        &["agreement", "location_id"],
+    ),
+    (
+        "undersampled",
+        spoiled!(bad => bad.set("samples_per_tx", json!(400_000))),
+        &["0.9", "min_rays", "more samples"],
+    ),
+    (
+        "undersampled",
+        spoiled!(bad => bad.set("tx_position_m", json!([10.0, -20.0, 2.0]))),
+        &["receivers' plane", "raise it"],
     ),
     (
         "nothing_reached",
@@ -367,6 +472,53 @@ fn each_mistake_has_its_own_code_and_mend() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
+/// Two maps in one file, of which the second is sound.
+fn two_maps(import: &Import, positions: &Value) {
+    let mut bad = Draft::new();
+    let both = ndarray::stack![Axis(0), good_values() / 2.0, good_values()];
+    let gains: Vec<u8> = both.iter().flat_map(|&gain| (gain as f32).to_le_bytes()).collect();
+    bad.values = npy_raw("'<f4'", false, "(2, 121, 121)", &gains);
+    bad.set("tx_position_m", positions.clone());
+    bad.write(import);
+}
+
+#[test]
+fn one_of_several_transmitters_can_be_chosen() {
+    let import = Import::new();
+    two_maps(&import, &json!([[0, 0, 70], [10, -20, 80]]));
+    let code = |tx: &str| {
+        run(import.command().args(["--tx", tx, "--overwrite"])).succeeds();
+        import.listed().first().map(|rejected| rejected.code.clone())
+    };
+    assert_eq!(code("2").as_deref(), Some("no_such_transmitter"));
+    assert_eq!(code("1"), None);
+    let manifest = read_json(&import.out().join("manifest.json"));
+    assert_eq!(manifest["config"]["tx"], 1);
+    two_maps(&import, &json!([10, -20, 80]));
+    assert_eq!(code("1").as_deref(), Some("invalid_metadata"), "whose position is it?");
+}
+
+#[test]
+fn strictly_a_warning_rejects_and_a_rejection_fails() {
+    let import = Import::new();
+    let mut bad = Draft::new();
+    bad.set("samples_per_tx", json!(4_000_000));
+    bad.write(&import);
+    run(&mut import.command()).succeeds();
+    let manifest = read_json(&import.out().join("manifest.json"));
+    let warned = manifest["maps"].as_array().expect("maps").iter();
+    let codes: Vec<&Value> =
+        warned.flat_map(|map| map["warnings"].as_array().expect("a list")).collect();
+    assert_eq!(codes.len(), 1, "{codes:?}");
+    assert_eq!(codes[0]["code"], "few_rays");
+
+    let message = run(import.command().args(["--strict", "--overwrite"])).refused();
+    assert_says(&message, &["1 maps rejected"]);
+    let rejected = import.listed();
+    assert_eq!((rejected.len(), rejected[0].code.as_str()), (1, "warned"));
+    assert_says(&rejected[0].found, &["few_rays", "9.1"]);
+}
+
 /// One file that the disk does not give must not cost all others.
 #[test]
 fn an_unreadable_file_is_rejected_like_any_other() {
@@ -394,7 +546,9 @@ fn every_code_has_a_case() {
     };
     let declared: BTreeSet<String> =
         variants.lines().filter_map(|line| line.trim().strip_suffix(',')).map(snake).collect();
-    let elsewhere = ["unreadable", "invalid_metadata", "duplicate_location"].map(str::to_owned);
+    let elsewhere =
+        ["unreadable", "invalid_metadata", "duplicate_location", "no_such_transmitter", "warned"]
+            .map(str::to_owned);
     let tested: BTreeSet<String> =
         CASES.iter().map(|(code, ..)| (*code).to_owned()).chain(elsewhere).collect();
     assert_eq!(tested, declared);

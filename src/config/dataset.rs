@@ -1,46 +1,9 @@
-//! `[rsrp]`, `[shard]` and `[split]`: what makes records of tiles and maps.
+//! `[shard]` and `[split]`: what makes records of tiles and maps.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, GridConfig, demand};
-use crate::units::Dbm;
-
-/// `[rsrp]`: import of radio maps.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct RsrpConfig {
-    /// What cells without a path hold, in dBm. It is the mask that tells them apart: levels
-    /// of weakly reached cells may be lower (diffraction goes down to -330 dBm), and a
-    /// trainer may choose another floor without importing again.
-    pub floor_dbm: Dbm,
-    /// Larger files are refused before anything is allocated, in MiB of decoded array.
-    pub max_array_mib: u32,
-}
-
-impl Default for RsrpConfig {
-    fn default() -> Self {
-        Self { floor_dbm: Dbm(-160.0), max_array_mib: 256 }
-    }
-}
-
-impl RsrpConfig {
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        let Dbm(floor) = self.floor_dbm;
-        demand(
-            (-300.0..=-100.0).contains(&floor),
-            "rsrp.floor_dbm",
-            floor,
-            "a level at which nothing is received, -300 to -100 dBm",
-        )?;
-        demand(
-            (1..=16_384).contains(&self.max_array_mib),
-            "rsrp.max_array_mib",
-            self.max_array_mib,
-            "1 to 16384",
-        )
-    }
-}
 
 /// How several heights become one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

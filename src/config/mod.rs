@@ -5,13 +5,15 @@
 
 mod dataset;
 mod rl;
+mod rsrp;
 mod tiles;
 mod train;
 
 pub use dataset::{
-    HeightDownsampling, RsrpConfig, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
+    HeightDownsampling, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
 };
 pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
+pub use rsrp::{Preset, RsrpConfig};
 pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
 pub use train::{Loss, Precision, TrainConfig};
 

@@ -19,8 +19,8 @@ pub use evaluation::EvaluationManifest;
 pub use files::{RsrpFile, StageFileError, TileFile, dropped_tiles};
 pub use policy::PolicyManifest;
 pub use rsrp::{
-    BaseStation, MapEntry, MaskCounts, Radio, RadioCount, RsrpManifest, RsrpMeta, SourceMap,
-    ValueKind,
+    BaseStation, Evidence, MapEntry, MapQuality, MapWarning, MaskCounts, OrientationScore, Radio,
+    RadioCount, RsrpManifest, RsrpMeta, SourceMap, ValueKind, WarningCode,
 };
 pub use tiles::{
     BuildingCounts, BuiltBySource, TileEntry, TileMeta, TileStatistics, TilesConfig, TilesManifest,

@@ -32,6 +32,16 @@ pub enum ValueKind {
 }
 
 impl ValueKind {
+    /// All kinds, in the order of their declaration.
+    pub const ALL: [Self; 6] = [
+        Self::PathGainLinear,
+        Self::PathGainDb,
+        Self::PathLossDb,
+        Self::RssW,
+        Self::RssDbm,
+        Self::RsrpDbm,
+    ];
+
     /// Whether the values are linear (so that "no path" is 0, and float16 loses nearly all).
     #[must_use]
     pub fn is_linear(self) -> bool {
@@ -149,6 +159,110 @@ pub struct MaskCounts {
     pub unreached: u64,
 }
 
+/// What the place of a map on its buildings is judged by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Evidence {
+    /// Cells without a path.
+    NoPath,
+    /// Levels in dB, since paths go through walls.
+    Level,
+}
+
+impl Evidence {
+    /// The name used in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NoPath => "no_path",
+            Self::Level => "level",
+        }
+    }
+}
+
+/// How well a map lies on the buildings of its tile.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OrientationScore {
+    /// What was compared with the buildings.
+    pub evidence: Evidence,
+    /// Correlation of the evidence with "is a building", -1 to 1.
+    pub correlation: f64,
+    /// 1 where exactly the buildings are without path, 0 where they have nothing to do with it.
+    pub agreement: Option<f64>,
+    /// Lead in correlation over the best of the seven other ways that a square can lie.
+    pub lead: f64,
+}
+
+/// What a user should look at, though the map was taken.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum WarningCode {
+    /// The transmitter lies below a roof whose height is uncertain.
+    TransmitterBelowRoof,
+    /// Turned or flipped, the map fits the buildings nearly as well.
+    OrientationUnclear,
+    /// Too few cells are reached, or built, to tell the orientation.
+    OrientationUntold,
+    /// Even the strongest cells are far below free space.
+    WeakLevels,
+    /// Fewer rays than `rsrp.few_rays`.
+    FewRays,
+    /// Many outdoor cells are without path.
+    ManyUnreached,
+}
+
+impl WarningCode {
+    /// The name used in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::TransmitterBelowRoof => "transmitter_below_roof",
+            Self::OrientationUnclear => "orientation_unclear",
+            Self::OrientationUntold => "orientation_untold",
+            Self::WeakLevels => "weak_levels",
+            Self::FewRays => "few_rays",
+            Self::ManyUnreached => "many_unreached",
+        }
+    }
+}
+
+/// A warning about one map.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MapWarning {
+    /// What it is about.
+    pub code: WarningCode,
+    /// In words.
+    pub text: String,
+}
+
+impl MapWarning {
+    /// A warning in words.
+    #[must_use]
+    pub fn new(code: WarningCode, text: impl Into<String>) -> Self {
+        Self { code, text: text.into() }
+    }
+}
+
+/// What the checks of a map found, beyond passing.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MapQuality {
+    /// 99th percentile of the level over that of free space, outdoors, in dB; sound maps lie
+    /// between -2 and 8 unless their transmitter is hidden.
+    pub excess_db: Option<f64>,
+    /// How the map lies on the buildings.
+    pub orientation: OrientationScore,
+    /// Share of outdoor cells that no path reaches.
+    pub unreached: f64,
+    /// Expected line-of-sight rays in a cell of a record at the window's corner.
+    pub expected_rays: f64,
+}
+
 /// A map that was imported.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -163,8 +277,12 @@ pub struct MapEntry {
     pub source: SourceMap,
     /// Cells by kind.
     pub cells: MaskCounts,
+    /// What the checks found.
+    pub quality: MapQuality,
+    /// Metadata that the producer did not write, by key.
+    pub assumed: Vec<String>,
     /// What a user should look at, though the map was taken.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<MapWarning>,
 }
 
 /// Number of maps that share a way of computing.

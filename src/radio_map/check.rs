@@ -1,13 +1,13 @@
-//! Is the array what its metadata say? Checks 1, 2, 5 and 8 of the import contract.
+//! Is the array what its metadata say? Checks 1, 2, 5 and 6 of the import contract.
 
 use super::convert::{power_per_re, to_rsrp};
 use super::load::LoadedMap;
 use super::metadata::RadioMapMetadata;
 use super::rejection::{Rejection, RejectionCode};
 use crate::building::HeightSource;
-use crate::config::GridConfig;
+use crate::config::{GridConfig, RsrpConfig};
 use crate::grid::TileId;
-use crate::manifest::ValueKind;
+use crate::manifest::{MapWarning, MaskCounts, ValueKind, WarningCode};
 use crate::store::DType;
 
 /// A map's centre may differ from its tile's by this, in metres.
@@ -27,6 +27,8 @@ const PILE_FACTOR: usize = 8;
 const HEIGHT_UNCERTAINTY_M: f64 = 1.0;
 /// A roof with `building:levels` is this uncertain: two levels, in metres.
 const LEVELS_UNCERTAINTY_M: f64 = 6.0;
+/// A larger share of outdoor cells without a path is warned of.
+const MOST_UNREACHED: f64 = 0.3;
 
 /// How the cells of a map lie on the cells of the tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -114,13 +116,23 @@ pub(super) fn geometry(
 
 /// Whether a value stands for "no path", as the file's element type rounds it.
 pub(super) fn no_path(metadata: &RadioMapMetadata, dtype: DType) -> impl Fn(f64) -> bool + use<> {
-    let declared = metadata.no_path_value.value();
-    let stored = match dtype {
-        DType::Float16 => half::f16::from_f64(declared).to_f64(),
-        DType::Float32 => f64::from(declared as f32),
-        _ => declared,
-    };
-    move |value| value == stored || (value.is_nan() && stored.is_nan())
+    let stored: Vec<f64> = metadata
+        .no_path_value
+        .values()
+        .into_iter()
+        .map(|declared| match dtype {
+            DType::Float16 => half::f16::from_f64(declared).to_f64(),
+            DType::Float32 => f64::from(declared as f32),
+            _ => declared,
+        })
+        .collect();
+    move |value| stored.iter().any(|&no| value == no || (value.is_nan() && no.is_nan()))
+}
+
+/// Whether some radio channel has such a value.
+pub(super) fn is_possible(value: f64, kind: ValueKind, metadata: &RadioMapMetadata) -> bool {
+    let rsrp = to_rsrp(value, kind, metadata).0;
+    !(kind.is_linear() && value < 0.0) && (LEAST_RSRP_DBM..power_per_re(metadata).0).contains(&rsrp)
 }
 
 /// NaN, infinities, impossible powers and undeclared floors.
@@ -128,12 +140,13 @@ pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(),
     let is_no_path = no_path(metadata, map.dtype);
     let present = || map.values.iter().copied().filter(|&value| !is_no_path(value));
     let total = map.values.len();
-    let declared = metadata.no_path_value.value();
+    let declared: Vec<String> =
+        metadata.no_path_value.values().iter().map(ToString::to_string).collect();
 
     let undeclared = |code, what: &str, count: usize| {
         let mend = format!("set no_path_value to {what} if it means \"no path\", else trace again");
         let found = format!("{what} in {count} of {total} cells");
-        let expected = format!("finite values, or no_path_value = {declared}");
+        let expected = format!("finite values, or no_path_value = {}", declared.join(", "));
         Err(Rejection::new(code, expected, found, mend))
     };
     let nan = present().filter(|value| value.is_nan()).count();
@@ -150,12 +163,8 @@ pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(),
             return undeclared(RejectionCode::FloorUndeclared, "0", zeros);
         }
     }
-    let plausible = LEAST_RSRP_DBM..power_per_re(metadata).0;
-    let impossible = |value: f64| {
-        (map.kind.is_linear() && value < 0.0)
-            || !plausible.contains(&to_rsrp(value, map.kind, metadata).0)
-    };
-    let wrong: Vec<f64> = present().filter(|&value| impossible(value)).collect();
+    let is_wrong = |value: &f64| !is_possible(*value, map.kind, metadata);
+    let wrong: Vec<f64> = present().filter(is_wrong).collect();
     if let Some(example) = wrong.first() {
         let expected = match map.kind {
             ValueKind::PathGainLinear => "path_gain_linear from 0 to 1".to_owned(),
@@ -203,11 +212,12 @@ fn floor(mut present: Vec<f64>, total: usize) -> Result<(), Rejection> {
 /// north of the centre, in metres) and its source. Returns a warning where heights are
 /// too uncertain to reject the map.
 pub(super) fn transmitter(
-    metadata: &RadioMapMetadata,
+    tx_position_m: [f64; 3],
+    map_size_m: f64,
     roof: impl Fn(f64, f64) -> Option<(f64, HeightSource)>,
-) -> Result<Option<String>, Rejection> {
-    let [x, y, z] = metadata.tx_position_m;
-    let half = metadata.map_size_m / 2.0;
+) -> Result<Option<MapWarning>, Rejection> {
+    let [x, y, z] = tx_position_m;
+    let half = map_size_m / 2.0;
     let inside = x.abs() <= half && y.abs() <= half && z.is_finite();
     if !inside {
         return Err(Rejection::new(
@@ -234,5 +244,65 @@ pub(super) fn transmitter(
             "trace with the buildings of this tile, or correct tx_position_m",
         ));
     }
-    Ok(Some(format!("transmitter {found}, whose height is uncertain")))
+    let text = format!("transmitter {found}, whose height is uncertain");
+    Ok(Some(MapWarning::new(WarningCode::TransmitterBelowRoof, text)))
+}
+
+/// Expected line-of-sight rays in a cell at the corner of the window:
+/// λ = N·A·h / (4π·(r² + h²)^1.5) for N rays that leave the transmitter evenly, a cell of area A,
+/// a transmitter h above the receivers, and the corner's distance r from the window's centre.
+pub(super) fn expected_rays(
+    metadata: &RadioMapMetadata,
+    tx_position_m: [f64; 3],
+    record_cell_m: f64,
+    crop_m: f64,
+) -> f64 {
+    let height = (tx_position_m[2] - metadata.rx_height_m).abs();
+    let distance = crop_m / 2.0 * std::f64::consts::SQRT_2;
+    let squared = distance * distance + height * height;
+    let sphere = 4.0 * std::f64::consts::PI * squared * libm::sqrt(squared);
+    metadata.samples_per_tx as f64 * record_cell_m * record_cell_m * height / sphere
+}
+
+/// Are there enough rays for cells of this size? A share of e^−λ of the cells that a path could
+/// reach is missed, and those that are hit look too strong.
+pub(super) fn sampling(rays: f64, config: &RsrpConfig) -> Result<Option<MapWarning>, Rejection> {
+    let found = format!("{rays:.3} expected rays per cell at the window's corner");
+    if rays < config.min_rays {
+        let mend = if rays == 0.0 {
+            "the transmitter stands in the receivers' plane, which no direct ray crosses: raise it"
+        } else {
+            "trace with more samples, or import with larger cells (shard.downsample)"
+        };
+        return Err(Rejection::new(
+            RejectionCode::Undersampled,
+            format!("at least {} (rsrp.min_rays)", config.min_rays),
+            found,
+            mend,
+        ));
+    }
+    let few = rays < config.few_rays;
+    let text = || format!("{found}, fewer than {} (rsrp.few_rays)", config.few_rays);
+    Ok(few.then(|| MapWarning::new(WarningCode::FewRays, text())))
+}
+
+/// Share of outdoor cells that no path reaches; a map without any reached cell is none.
+pub(super) fn unreached(counts: &MaskCounts) -> Result<f64, Rejection> {
+    let MaskCounts { reached, unreached, .. } = *counts;
+    if reached == 0 {
+        return Err(Rejection::new(
+            RejectionCode::NothingReached,
+            "at least one outdoor cell with a path",
+            format!("{unreached} outdoor cells, none reached"),
+            "check the transmitter's position and the number of samples",
+        ));
+    }
+    Ok(unreached as f64 / (reached + unreached) as f64)
+}
+
+/// A warning where many outdoor cells are without path.
+pub(super) fn few_reached(unreached: f64) -> Option<MapWarning> {
+    let percent = 100.0 * unreached;
+    let text = format!("{percent:.0} % of the outdoor cells: few rays, or a hidden transmitter");
+    (unreached > MOST_UNREACHED).then(|| MapWarning::new(WarningCode::ManyUnreached, text))
 }

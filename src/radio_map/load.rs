@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use ndarray::Array2;
 
-use super::metadata::RadioMapMetadata;
+use super::complete::{ArrayFacts, Supplement};
+use super::metadata::{RadioMapMetadata, parse_object};
 use super::rejection::{Rejection, RejectionCode};
 use crate::manifest::ValueKind;
 use crate::store::{DType, Npy, NpyError, NpzError, NpzReader, read_npy};
@@ -25,6 +26,9 @@ const TELLING_NAMES: [(&str, ValueKind); 9] = [
 const OPEN_NAMES: [&str; 3] = ["rss", "rm", "arr_0"];
 const METADATA: &str = "meta_json";
 
+/// Positions of transmitters in files of sionna-large-radio-maps, `[3, n]` or `[n, 3]`.
+const POSITIONS: &str = "tx_positions";
+
 /// A map as its file has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedMap {
@@ -34,43 +38,66 @@ pub struct LoadedMap {
     pub kind: ValueKind,
     /// Type of the elements in the file.
     pub dtype: DType,
+    /// East, north and up of the map's transmitter from the centre on the ground, in metres.
+    pub tx_position_m: [f64; 3],
 }
 
-/// Reads the metadata of a `.npz`, or those beside a `.npy`.
+/// Metadata of a map, and which of them its producer did not write.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Described {
+    /// The metadata, complete.
+    pub metadata: RadioMapMetadata,
+    /// Keys that a [`Supplement`] added, sorted.
+    pub assumed: Vec<String>,
+}
+
+/// Reads the metadata of a `.npz`, or those in the `.json` beside a file.
 ///
 /// # Errors
 /// A [`Rejection`] if there are none or they cannot be understood.
-pub fn load_metadata(path: &Path, limit: u64) -> Result<RadioMapMetadata, Rejection> {
-    match extension(path) {
+pub fn load_metadata(
+    path: &Path,
+    limit: u64,
+    supplement: &Supplement<'_>,
+) -> Result<Described, Rejection> {
+    let (written, facts) = match extension(path) {
         "npz" => {
             let mut archive = NpzReader::open(path, limit).map_err(|error| of_npz(&error))?;
-            if !archive.names().iter().any(|name| name == METADATA) {
-                return Err(no_metadata("no meta_json in the archive"));
-            }
-            let member = archive.member(METADATA).map_err(|error| of_npz(&error))?;
-            let npy = read_npy(&member).map_err(|error| of_npy(&error))?;
-            let bytes = npy.text().ok_or_else(|| {
-                Rejection::new(
-                    RejectionCode::InvalidMetadata,
-                    "meta_json as an array of uint8, or a string",
-                    npy.dtype.name(),
-                    "save it with np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)",
-                )
-            })?;
-            RadioMapMetadata::parse(&bytes)
+            let written = if archive.names().iter().any(|name| name == METADATA) {
+                Some(archive_metadata(&mut archive)?)
+            } else if supplement.is_active() {
+                read_sidecar(path)?
+            } else {
+                None
+            };
+            let facts = if supplement.is_active() {
+                facts_of_npz(&mut archive)?
+            } else {
+                ArrayFacts::default()
+            };
+            (written.ok_or("no meta_json in the archive"), facts)
         }
         "npy" => {
-            refuse_pickles(path, limit)?;
-            let sidecar = path.with_extension("json");
-            let bytes = std::fs::read(&sidecar)
-                .map_err(|_| no_metadata("a bare array: no .json of the same name beside it"))?;
-            RadioMapMetadata::parse(&bytes)
+            let facts = facts_of_npy(path, limit)?;
+            let written = read_sidecar(path)?;
+            (written.ok_or("a bare array: no .json of the same name beside it"), facts)
         }
-        _ => Err(unsupported(path)),
-    }
+        _ => return Err(unsupported(path)),
+    };
+    let mut object = match written {
+        Ok(json) => parse_object(&json)?,
+        Err(_) if supplement.is_active() => serde_json::Map::new(),
+        Err(found) => return Err(no_metadata(found)),
+    };
+    let assumed = if supplement.is_active() {
+        supplement.complete(&mut object, path, &facts)
+    } else {
+        Vec::new()
+    };
+    Ok(Described { metadata: RadioMapMetadata::from_object(object)?, assumed })
 }
 
-/// Reads the array of a map.
+/// Reads the array of a map; of several transmitters, that of `tx` (counted from 0).
 ///
 /// # Errors
 /// A [`Rejection`] if it cannot be read, is ambiguous, or is no single matrix.
@@ -78,6 +105,7 @@ pub fn load_values(
     path: &Path,
     metadata: &RadioMapMetadata,
     limit: u64,
+    tx: Option<usize>,
 ) -> Result<LoadedMap, Rejection> {
     let (name, bytes) = match extension(path) {
         "npz" => {
@@ -92,8 +120,73 @@ pub fn load_values(
     let npy = read_npy(&bytes).map_err(|error| of_npy(&error))?;
     let kind = value_kind(name.as_deref(), metadata.value_kind)?;
     check_type(npy.dtype, kind)?;
-    let values = matrix(&npy)?;
-    Ok(LoadedMap { values, kind, dtype: npy.dtype })
+    let layout = Layout::of(&npy.shape)?;
+    let index = choose(&layout, metadata.tx_position_m.all().len(), tx, &npy.shape)?;
+    let tx_position_m = metadata.tx_position_m.all()[index];
+    let map = if layout.maps == 1 { 0 } else { index };
+    Ok(LoadedMap { values: layout.matrix(&npy, map), kind, dtype: npy.dtype, tx_position_m })
+}
+
+fn archive_metadata(archive: &mut NpzReader) -> Result<Vec<u8>, Rejection> {
+    let member = archive.member(METADATA).map_err(|error| of_npz(&error))?;
+    let npy = read_npy(&member).map_err(|error| of_npy(&error))?;
+    npy.text().ok_or_else(|| {
+        Rejection::new(
+            RejectionCode::InvalidMetadata,
+            "meta_json as an array of uint8, or a string",
+            npy.dtype.name(),
+            "save it with np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)",
+        )
+    })
+}
+
+/// The `.json` of the same name, if there is one.
+fn read_sidecar(path: &Path) -> Result<Option<Vec<u8>>, Rejection> {
+    match std::fs::read(path.with_extension("json")) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(unreadable(&error)),
+    }
+}
+
+fn facts_of_npz(archive: &mut NpzReader) -> Result<ArrayFacts, Rejection> {
+    let names = archive.names();
+    let name = value_array(&names)?;
+    let bytes = archive.member(&name).map_err(|error| of_npz(&error))?;
+    let npy = read_npy(&bytes).map_err(|error| of_npy(&error))?;
+    let cells = Layout::of(&npy.shape).ok().map(|layout| layout.cells);
+    let mut tx_from_corner = None;
+    if names.iter().any(|name| name == POSITIONS) {
+        let bytes = archive.member(POSITIONS).map_err(|error| of_npz(&error))?;
+        tx_from_corner = positions(&read_npy(&bytes).map_err(|error| of_npy(&error))?);
+    }
+    Ok(ArrayFacts { name: Some(name), cells, tx_from_corner })
+}
+
+/// A pickle is named as such even where metadata are missing too: it is the graver mistake.
+fn facts_of_npy(path: &Path, limit: u64) -> Result<ArrayFacts, Rejection> {
+    match read_npy(&read_limited(path, limit)?) {
+        Err(NpyError::Pickled) => Err(of_npy(&NpyError::Pickled)),
+        Err(_) => Ok(ArrayFacts::default()),
+        Ok(npy) => {
+            let cells = Layout::of(&npy.shape).ok().map(|layout| layout.cells);
+            Ok(ArrayFacts { cells, ..ArrayFacts::default() })
+        }
+    }
+}
+
+/// Positions from an array `[3, n]` (as in Mitsuba) or `[n, 3]`.
+fn positions(npy: &Npy<'_>) -> Option<Vec<[f64; 3]>> {
+    let values = npy.values_f64();
+    let [rows, columns] = npy.shape[..] else { return None };
+    let at = |row: usize, column: usize| {
+        values[if npy.fortran_order { column * rows + row } else { row * columns + column }]
+    };
+    match (rows, columns) {
+        (3, _) => Some((0..columns).map(|n| [at(0, n), at(1, n), at(2, n)]).collect()),
+        (_, 3) => Some((0..rows).map(|n| [at(n, 0), at(n, 1), at(n, 2)]).collect()),
+        _ => None,
+    }
 }
 
 /// Whether a file may be meant as a map, going by its name.
@@ -177,14 +270,6 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, Rejection> {
     std::fs::read(path).map_err(|error| unreadable(&error))
 }
 
-/// A pickle is named as such even where metadata are missing too: it is the graver mistake.
-fn refuse_pickles(path: &Path, limit: u64) -> Result<(), Rejection> {
-    match read_npy(&read_limited(path, limit)?) {
-        Err(NpyError::Pickled) => Err(of_npy(&NpyError::Pickled)),
-        _ => Ok(()),
-    }
-}
-
 /// The one array that is the map.
 fn value_array(names: &[String]) -> Result<String, Rejection> {
     let known = |name: &&String| {
@@ -245,41 +330,99 @@ fn check_type(dtype: DType, kind: ValueKind) -> Result<(), Rejection> {
     }
 }
 
-/// The values as a matrix; a leading axis of one transmitter is dropped.
-fn matrix(npy: &Npy<'_>) -> Result<Array2<f64>, Rejection> {
-    let (rows, columns) = match npy.shape[..] {
-        [rows, columns] | [1, rows, columns] => (rows, columns),
-        [n, rows, columns] if rows == columns => return Err(several(n, &npy.shape)),
-        [rows, columns, n] if rows == columns && n > 1 => return Err(several(n, &npy.shape)),
-        _ => return Err(wrong_shape(&npy.shape)),
-    };
-    if rows != columns || rows == 0 {
-        return Err(wrong_shape(&npy.shape));
-    }
-    let values = npy.values_f64();
-    Ok(Array2::from_shape_fn((rows, columns), |(row, column)| {
-        // In Fortran order the first index runs fastest; a leading axis of one changes nothing.
-        let at = if npy.fortran_order { column * rows + row } else { row * columns + column };
-        values[at]
-    }))
+/// How the maps of transmitters lie in an array.
+struct Layout {
+    /// Cells along a side of a map.
+    cells: usize,
+    /// Number of maps.
+    maps: usize,
+    /// Positions of the map's, the row's and the column's axis.
+    axes: [usize; 3],
 }
 
-fn several(count: usize, shape: &[usize]) -> Rejection {
-    Rejection::new(
-        RejectionCode::SeveralTransmitters,
-        "the map of one transmitter",
-        format!("shape {shape:?}: {count} of them"),
-        "save one file a transmitter, for instance path_gain=rm.path_gain[0]",
-    )
+impl Layout {
+    /// Squares, alone or stacked along the first or the last axis.
+    fn of(shape: &[usize]) -> Result<Self, Rejection> {
+        let layout = match *shape {
+            [rows, columns] if rows == columns => {
+                Self { cells: rows, maps: 1, axes: [usize::MAX, 0, 1] }
+            }
+            [n, rows, columns] if rows == columns => Self { cells: rows, maps: n, axes: [0, 1, 2] },
+            [rows, columns, n] if rows == columns => Self { cells: rows, maps: n, axes: [2, 0, 1] },
+            _ => return Err(wrong_shape(shape)),
+        };
+        if layout.cells == 0 || layout.maps == 0 {
+            return Err(wrong_shape(shape));
+        }
+        Ok(layout)
+    }
+
+    /// One map in C layout.
+    fn matrix(&self, npy: &Npy<'_>, map: usize) -> Array2<f64> {
+        let axes = npy.shape.len();
+        let mut strides = [0; 3];
+        let mut step = 1;
+        for axis in 0..axes {
+            // In Fortran order the first index runs fastest.
+            let axis = if npy.fortran_order { axis } else { axes - 1 - axis };
+            strides[axis] = step;
+            step *= npy.shape[axis];
+        }
+        let stride = |axis: usize| strides.get(axis).copied().unwrap_or(0);
+        let [of_map, of_row, of_column] = self.axes.map(stride);
+        let values = npy.values_f64();
+        Array2::from_shape_fn((self.cells, self.cells), |(row, column)| {
+            values[map * of_map + row * of_row + column * of_column]
+        })
+    }
+}
+
+/// Which transmitter's map is meant. A single map needs no choice; `positions` are told by
+/// the metadata.
+fn choose(
+    layout: &Layout,
+    positions: usize,
+    tx: Option<usize>,
+    shape: &[usize],
+) -> Result<usize, Rejection> {
+    let reject = |code, expected: String, mend: &str| {
+        let found = format!("shape {shape:?}, {positions} positions in tx_position_m");
+        Err(Rejection::new(code, expected, found, mend))
+    };
+    let several = RejectionCode::SeveralTransmitters;
+    match (layout.maps, positions, tx) {
+        (1, 1, _) => Ok(0),
+        (1, ..) => reject(
+            several,
+            "the map of one transmitter".to_owned(),
+            "what several transmitters give together is no RSRP: trace each by itself",
+        ),
+        (_, _, None) => reject(
+            several,
+            "the map of one transmitter, or a choice".to_owned(),
+            "choose one with --tx INDEX (from 0), or save one file a transmitter",
+        ),
+        (maps, _, Some(tx)) if tx >= maps => reject(
+            RejectionCode::NoSuchTransmitter,
+            format!("transmitter {tx}, counted from 0"),
+            "choose another --tx",
+        ),
+        (maps, positions, Some(tx)) if positions == maps => Ok(tx),
+        (maps, ..) => reject(
+            RejectionCode::InvalidMetadata,
+            format!("{maps} positions in tx_position_m, one a map"),
+            "write tx_position_m as [[x, y, z], ...] in the order of the maps",
+        ),
+    }
 }
 
 fn wrong_shape(shape: &[usize]) -> Rejection {
-    Rejection::new(
-        RejectionCode::WrongShape,
-        "[n, n] or [1, n, n]",
-        format!("{shape:?}"),
-        "trace a square map with square cells",
-    )
+    let (expected, found) = ("[n, n], or [transmitters, n, n]", format!("{shape:?}"));
+    let mend = match shape {
+        [_] => "values on the faces of a mesh are no grid: trace a plane (center, size, cell_size)",
+        _ => "trace a square map with square cells",
+    };
+    Rejection::new(RejectionCode::WrongShape, expected, found, mend)
 }
 
 /// The files of a directory that may be maps, and the names of the others; both sorted.
@@ -290,9 +433,11 @@ pub(super) fn list(directory: &Path) -> std::io::Result<(Vec<PathBuf>, Vec<Strin
     paths.sort();
     let (maps, others): (Vec<_>, Vec<_>) =
         paths.into_iter().filter(|path| path.is_file()).partition(|path| may_be_map(path));
-    // A .json beside an .npy is its metadata.
-    let is_sidecar =
-        |path: &PathBuf| extension(path) == "json" && maps.contains(&path.with_extension("npy"));
+    // A .json beside a map is its metadata.
+    let is_sidecar = |path: &PathBuf| {
+        let beside = |extension| maps.contains(&path.with_extension(extension));
+        extension(path) == "json" && (beside("npy") || beside("npz"))
+    };
     let name = |path: PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());
     let ignored = others.into_iter().filter(|path| !is_sidecar(path)).filter_map(name).collect();
     Ok((maps, ignored))

@@ -27,9 +27,19 @@ pub enum PowerReference {
 }
 
 /// What cells without a path hold. JSON has no infinities, so these are strings.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum NoPathValue {
+    /// One value.
+    One(Marker),
+    /// Any of several, for instance `[0, "-inf", "nan"]`.
+    Several(Vec<Marker>),
+}
+
+/// A number, also one that JSON cannot write.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Marker {
     /// A number.
     Number(f64),
     /// Negative infinity or NaN.
@@ -47,7 +57,7 @@ pub enum SpecialValue {
     Nan,
 }
 
-impl NoPathValue {
+impl Marker {
     /// As a number.
     #[must_use]
     pub fn value(self) -> f64 {
@@ -55,6 +65,38 @@ impl NoPathValue {
             Self::Number(value) => value,
             Self::Special(SpecialValue::NegativeInfinity) => f64::NEG_INFINITY,
             Self::Special(SpecialValue::Nan) => f64::NAN,
+        }
+    }
+}
+
+impl NoPathValue {
+    /// All values that mean "no path".
+    #[must_use]
+    pub fn values(&self) -> Vec<f64> {
+        match self {
+            Self::One(value) => vec![value.value()],
+            Self::Several(values) => values.iter().map(|value| value.value()).collect(),
+        }
+    }
+}
+
+/// Where the transmitters stand: east, north and up from the map's centre on the ground, in metres.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum TxPosition {
+    /// The transmitter of the map.
+    One([f64; 3]),
+    /// Those of a file that holds a map for each of them, in its order.
+    Several(Vec<[f64; 3]>),
+}
+
+impl TxPosition {
+    /// All positions.
+    #[must_use]
+    pub fn all(&self) -> &[[f64; 3]] {
+        match self {
+            Self::One(position) => std::slice::from_ref(position),
+            Self::Several(positions) => positions,
         }
     }
 }
@@ -105,8 +147,8 @@ pub struct RadioMapMetadata {
     pub crs: Crs,
     /// Height of the receivers over the ground.
     pub rx_height_m: f64,
-    /// East, north and up from the centre on the ground.
-    pub tx_position_m: [f64; 3],
+    /// East, north and up from the centre on the ground; a list where the file holds several maps.
+    pub tx_position_m: TxPosition,
     /// Transmit power, in dBm.
     pub tx_power_dbm: f64,
     /// What the transmit power counts.
@@ -180,6 +222,30 @@ const REQUIRED: [&str; 18] = [
     "diffraction",
 ];
 
+/// Metadata as they are written, before they are complete.
+pub(super) type Object = serde_json::Map<String, serde_json::Value>;
+
+/// Whether a key has a value.
+pub(super) fn is_given(object: &Object, key: &str) -> bool {
+    object.get(key).is_some_and(|value| !value.is_null())
+}
+
+/// The keys and values of metadata.
+pub(super) fn parse_object(json: &[u8]) -> Result<Object, Rejection> {
+    const MEND: &str =
+        "write it with json.dumps; JSON has no NaN or Infinity, use \"nan\", \"-inf\"";
+    let value: serde_json::Value = serde_json::from_slice(json)
+        .map_err(|error| invalid("metadata as JSON", error.to_string(), MEND))?;
+    match value {
+        serde_json::Value::Object(object) => Ok(object),
+        other => Err(invalid("an object of keys and values", other.to_string(), MEND)),
+    }
+}
+
+fn invalid(expected: &str, found: String, mend: &str) -> Rejection {
+    Rejection::new(RejectionCode::InvalidMetadata, expected, found, mend)
+}
+
 impl RadioMapMetadata {
     /// The value of `schema`.
     pub const SCHEMA: &'static str = "radio_map.v1";
@@ -190,33 +256,25 @@ impl RadioMapMetadata {
     /// [`RejectionCode::MissingMetadata`] names all missing keys at once,
     /// [`RejectionCode::InvalidMetadata`] the first that cannot be used.
     pub fn parse(json: &[u8]) -> Result<Self, Rejection> {
-        let invalid = |expected: &str, found: String, mend: &str| {
-            Rejection::new(RejectionCode::InvalidMetadata, expected, found, mend)
-        };
-        let value: serde_json::Value = serde_json::from_slice(json).map_err(|error| {
-            let mend =
-                "write it with json.dumps; JSON has no NaN or Infinity, use \"nan\", \"-inf\"";
-            invalid("metadata as JSON", error.to_string(), mend)
-        })?;
-        let missing: Vec<_> = REQUIRED
-            .into_iter()
-            .filter(|key| value.get(key).is_none_or(serde_json::Value::is_null))
-            .collect();
+        Self::from_object(parse_object(json)?)
+    }
+
+    /// Checks metadata that are complete.
+    pub(super) fn from_object(object: Object) -> Result<Self, Rejection> {
+        let missing: Vec<_> = REQUIRED.into_iter().filter(|key| !is_given(&object, key)).collect();
         if !missing.is_empty() {
             return Err(Rejection::new(
                 RejectionCode::MissingMetadata,
                 format!("all keys of {}", Self::SCHEMA),
                 format!("no {}", missing.join(", ")),
-                "add them to meta_json, or to the .json beside the .npy",
+                "add them to meta_json, or to the .json beside the .npy, or to [rsrp.assume]",
             ));
         }
-        let metadata: Self = serde_path_to_error::deserialize(value).map_err(|error| {
-            invalid(
-                "the types of schema radio_map.v1",
-                error.to_string(),
-                "see schemas/radio_map.v1.json",
-            )
-        })?;
+        let metadata: Self = serde_path_to_error::deserialize(serde_json::Value::Object(object))
+            .map_err(|error| {
+                let expected = "the types of schema radio_map.v1";
+                invalid(expected, error.to_string(), "see schemas/radio_map.v1.json")
+            })?;
         metadata.check()?;
         Ok(metadata)
     }
@@ -243,6 +301,8 @@ impl RadioMapMetadata {
             "0 m or more, a horizontal plane",
             height.to_string(),
         )?;
+        let positions = self.tx_position_m.all();
+        demand(!positions.is_empty(), "tx_position_m", "at least one position", "[]".to_owned())?;
         let crs = self.crs.epsg();
         demand(crs.is_some(), "crs", "an EPSG code such as EPSG:32610", format!("{:?}", self.crs))?;
         if self.tx_power_is == PowerReference::Total {

@@ -8,15 +8,22 @@
 
 mod align;
 mod check;
+mod complete;
 mod convert;
+mod examine;
+mod free_space;
 mod load;
 mod metadata;
+mod orientation;
 mod rejection;
+mod report;
 mod stage;
+mod window;
 
 pub use align::{AlignedMap, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
+pub use complete::Supplement;
 pub use convert::to_rsrp;
-pub use load::{LoadedMap, load_metadata, load_values};
-pub use metadata::{NoPathValue, PowerReference, RadioMapMetadata, RowOrder};
+pub use load::{Described, LoadedMap, load_metadata, load_values};
+pub use metadata::{Marker, NoPathValue, PowerReference, RadioMapMetadata, RowOrder, TxPosition};
 pub use rejection::{Rejection, RejectionCode};
 pub use stage::{ImportError, ImportJob, import_maps};

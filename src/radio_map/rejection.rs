@@ -35,8 +35,10 @@ pub enum RejectionCode {
     InvalidMetadata,
     /// Not a square matrix.
     WrongShape,
-    /// Maps of several transmitters in one file.
+    /// Maps of several transmitters in one file, and no choice.
     SeveralTransmitters,
+    /// The file holds no map of the transmitter that was chosen.
+    NoSuchTransmitter,
     /// Shape, cell size and map size contradict each other.
     CellSizeContradictsShape,
     /// Cells that do not make up the cells of the grid or of a record.
@@ -57,6 +59,20 @@ pub enum RejectionCode {
     FloorUndeclared,
     /// Values that no radio channel has, for the declared kind.
     ValueOutOfRange,
+    /// The levels are those of another kind of values, or of another power.
+    WrongValueKind,
+    /// The rows or columns run the other way, or are swapped.
+    WrongOrientation,
+    /// The map lies some cells beside the buildings.
+    Shifted,
+    /// The map fits the buildings of another tile.
+    WrongTile,
+    /// The map fits the buildings of no tile nearby.
+    BuildingsDisagree,
+    /// Too few rays for the size of the cells.
+    Undersampled,
+    /// A warning, where `rsrp.strict` allows none.
+    Warned,
     /// Not a single outdoor cell is reached.
     NothingReached,
     /// The transmitter lies outside of the map.

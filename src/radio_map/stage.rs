@@ -3,30 +3,23 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use ndarray::{Array1, s};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
-use super::align::{AlignedMap, align};
-use super::check;
-use super::convert::power_per_re;
-use super::load::{list, load_metadata, load_values, unreadable};
+use super::complete::Supplement;
+use super::examine::{Context, Examined, Refusal, SourceFile, examine};
+use super::load::{Described, list, load_metadata, unreadable};
 use super::metadata::RadioMapMetadata;
 use super::rejection::{Rejection, RejectionCode};
-use crate::building::HeightSource;
-use crate::config::{Config, RsrpConfig};
+use super::report::{Outcome, imported_csv, rejected_csv, rsrp_npz, summarise};
+use crate::config::Config;
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
-    BaseStation, ManifestError, MapEntry, Radio, RadioCount, RsrpManifest, RsrpMeta, Software,
-    SourceMap, StageFileError, TileEntry, TileFile, TilesManifest, Verdict, dropped_tiles,
+    ManifestError, MapEntry, RsrpManifest, StageFileError, TileEntry, TilesManifest, dropped_tiles,
     fingerprint, load, to_json,
 };
 use crate::progress::Progress;
-use crate::store::{Digest, OutputDir, OutputError, npy_bytes, npz_bytes, sha256_file};
-
-/// Deflate level of imported maps; measured noise compresses hardly better at higher ones.
-const DEFLATE_LEVEL: i64 = 1;
+use crate::store::{Digest, OutputDir, OutputError, sha256_file};
 
 /// Why maps could not be imported at all. Single maps are rejected, not errors.
 #[derive(Debug, thiserror::Error)]
@@ -89,26 +82,8 @@ struct Source {
     path: PathBuf,
     name: String,
     digest: Result<Digest, Rejection>,
-    /// Of the `.json` beside an `.npy`: other metadata, another map.
+    /// Of the `.json` of the same name: other metadata, another map.
     sidecar: Option<Digest>,
-}
-
-/// What became of a file: what the journal remembers.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-enum Outcome {
-    Imported { entry: MapEntry, radio: Radio },
-    Rejected { file: String, location: String, rejection: Rejection },
-}
-
-/// Everything that the import of one map needs to know.
-struct Context<'a> {
-    tiles: &'a Path,
-    manifest: &'a TilesManifest,
-    by_id: BTreeMap<TileId, &'a TileEntry>,
-    dropped: BTreeMap<TileId, Verdict>,
-    rsrp: &'a RsrpConfig,
-    record_cell_m: f64,
-    limit: u64,
 }
 
 /// Imports all maps of a directory and returns the manifest that was written.
@@ -154,6 +129,7 @@ pub fn import_maps(
     };
     let outcomes = import_all(&sources, &context, &output, progress)?;
     output.write("rejected.csv", &rejected_csv(&outcomes))?;
+    output.write("import.csv", &imported_csv(&outcomes))?;
     let manifest = summarise(&outcomes, &context, fingerprint, &tiles_digest, ignored);
     output.complete(&to_json(&manifest))?;
     Ok(manifest)
@@ -162,8 +138,7 @@ pub fn import_maps(
 fn source(path: PathBuf) -> Source {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let digest = sha256_file(&path).map_err(|error| unreadable(&error));
-    let is_npy = path.extension().is_some_and(|extension| extension == "npy");
-    let sidecar = is_npy.then(|| sha256_file(&path.with_extension("json")).ok()).flatten();
+    let sidecar = sha256_file(&path.with_extension("json")).ok();
     Source { path, name, digest, sidecar }
 }
 
@@ -175,27 +150,29 @@ fn import_all(
     progress: &dyn Progress,
 ) -> Result<Vec<Outcome>, ImportError> {
     progress.begin("reading metadata", Some(sources.len() as u64));
-    let metadata: Vec<Result<RadioMapMetadata, Rejection>> = sources
+    let supplement =
+        Supplement { preset: context.rsrp.preset, assume: Some(&context.rsrp.assume), scene: None };
+    let described: Vec<Result<Described, Rejection>> = sources
         .par_iter()
         .map(|source| {
             progress.advance(1);
             source.digest.as_ref().map_err(Clone::clone)?;
-            load_metadata(&source.path, context.limit)
+            load_metadata(&source.path, context.limit, &supplement)
         })
         .collect();
     progress.end();
     let mut claims: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
-    for (source, metadata) in sources.iter().zip(&metadata) {
-        if let Ok(metadata) = metadata {
+    for (source, described) in sources.iter().zip(&described) {
+        if let Ok(Described { metadata, .. }) = described {
             claims.entry(&metadata.location_id).or_default().push(&source.name);
         }
     }
     progress.begin("importing radio maps", Some(sources.len() as u64));
     let outcomes = sources
         .par_iter()
-        .zip(&metadata)
-        .map(|(source, metadata)| {
-            let outcome = import_one(source, metadata.as_ref(), &claims, context, output);
+        .zip(&described)
+        .map(|(source, described)| {
+            let outcome = import_one(source, described.as_ref(), &claims, context, output);
             progress.advance(1);
             outcome
         })
@@ -206,7 +183,7 @@ fn import_all(
 
 fn import_one(
     source: &Source,
-    metadata: Result<&RadioMapMetadata, &Rejection>,
+    described: Result<&Described, &Rejection>,
     claims: &BTreeMap<&str, Vec<&str>>,
     context: &Context<'_>,
     output: &OutputDir,
@@ -214,25 +191,21 @@ fn import_one(
     if let Some(outcome) = output.finished(&source.name) {
         return Ok(outcome);
     }
-    let location = metadata.map_or_else(|_| String::new(), |known| known.location_id.clone());
-    let rejected = |rejection: Rejection| Outcome::Rejected {
-        file: source.name.clone(),
-        location: location.clone(),
-        rejection,
-    };
-    let imported = match metadata {
-        Err(rejection) => Err(rejection.clone()),
-        Ok(metadata) => match locate(metadata, claims, context) {
-            Err(rejection) => Err(rejection),
-            Ok(tile) => {
-                let tile_file = TileFile::read(context.tiles, tile)?;
-                convert(source, metadata, tile, &tile_file, context)
-            }
-        },
-    };
-    match imported {
-        Err(rejection) => Ok(output.finish_item(&source.name, None, |_| rejected(rejection))?),
-        Ok((meta, map, warnings)) => {
+    let examined = described.map_err(|rejection| rejection.clone().into()).and_then(|described| {
+        let entry = locate(&described.metadata, claims, context)?;
+        let digest = source.digest.as_ref().map_err(Clone::clone)?;
+        let file = SourceFile { path: &source.path, name: &source.name, digest };
+        Ok((examine(&file, described, entry, context)?, described))
+    });
+    match examined {
+        Err(Refusal::Failed(error)) => Err(error.into()),
+        Err(Refusal::Rejected(rejection)) => {
+            let location = described.map_or("", |known| &known.metadata.location_id).to_owned();
+            let file = source.name.clone();
+            let outcome = |_: Option<&Digest>| Outcome::Rejected { file, location, rejection };
+            Ok(output.finish_item(&source.name, None, outcome)?)
+        }
+        Ok((Examined { meta, map, quality, warnings }, Described { assumed, .. })) => {
             let file = format!("{}.npz", meta.id);
             let bytes = rsrp_npz(&meta, &map);
             let outcome = |digest: Option<&Digest>| Outcome::Imported {
@@ -242,6 +215,8 @@ fn import_one(
                     digest: digest.cloned().expect("a file was written"),
                     source: meta.source.clone(),
                     cells: map.counts,
+                    quality,
+                    assumed: assumed.clone(),
                     warnings,
                 },
                 radio: meta.radio.clone(),
@@ -285,150 +260,4 @@ fn locate<'a>(
         format!("location_id = {location:?}"),
         "rasterise the area and the lattice (grid.spacing_m) that the map was traced for",
     ))
-}
-
-type Converted = (RsrpMeta, AlignedMap, Vec<String>);
-
-fn convert(
-    source: &Source,
-    metadata: &RadioMapMetadata,
-    entry: &TileEntry,
-    tile: &TileFile,
-    context: &Context<'_>,
-) -> Result<Converted, Rejection> {
-    let grid = &context.manifest.config.grid;
-    let digest = source.digest.clone()?;
-    let map = load_values(&source.path, metadata, context.limit)?;
-    let geometry = check::geometry(&map, metadata, entry.id, grid, context.record_cell_m)?;
-    check::values(&map, metadata)?;
-    let roof = |x: f64, y: f64| roof(tile, grid.cell_m, x, y);
-    let warnings = check::transmitter(metadata, roof)?.into_iter().collect();
-
-    let (start, length) = (grid.crop_offset_cells(), grid.crop_cells());
-    let crop = start..start + length;
-    let flight_height = context.manifest.config.buildings.flight_height_m;
-    let occupied = tile
-        .height_m
-        .slice(s![crop.clone(), crop])
-        .mapv(|height| f64::from(height) >= flight_height);
-    let floor = context.rsrp.floor_dbm;
-    let aligned = align(&map, metadata, &geometry, &occupied, grid, floor);
-    if aligned.counts.reached == 0 {
-        return Err(Rejection::new(
-            RejectionCode::NothingReached,
-            "at least one outdoor cell with a path",
-            format!("{} outdoor cells, none reached", aligned.counts.unreached),
-            "check the transmitter's position and the number of samples",
-        ));
-    }
-    let meta = RsrpMeta {
-        schema: RsrpMeta::SCHEMA.to_owned(),
-        id: entry.id,
-        epsg: entry.id.utm.epsg(),
-        center_m: entry.id.center(),
-        cell_m: geometry.cell_m,
-        cells: geometry.cells as u32,
-        row_order: "north_first".to_owned(),
-        floor_dbm: floor,
-        base_station: BaseStation {
-            position_m: metadata.tx_position_m,
-            power_per_re_dbm: power_per_re(metadata),
-            pattern: metadata.tx_pattern.clone(),
-        },
-        radio: Radio {
-            frequency_hz: metadata.frequency_hz,
-            rx_height_m: metadata.rx_height_m,
-            sionna_version: metadata.sionna_version.clone(),
-            samples_per_tx: metadata.samples_per_tx,
-            max_depth: metadata.max_depth,
-            refraction: metadata.refraction,
-            diffraction: metadata.diffraction,
-        },
-        source: SourceMap { file: source.name.clone(), digest, value_kind: map.kind },
-        tile_sha256: entry.digest.sha256.clone(),
-        licence: context.manifest.licence.clone(),
-        attribution: context.manifest.attribution.clone(),
-    };
-    Ok((meta, aligned, warnings))
-}
-
-/// Height and its source under a place relative to the tile's centre, if a building is there.
-fn roof(tile: &TileFile, cell_m: f64, x: f64, y: f64) -> Option<(f64, HeightSource)> {
-    let half = tile.height_m.nrows() as f64 * cell_m / 2.0;
-    let index = |distance: f64| {
-        let cell = (distance / cell_m).floor();
-        (cell >= 0.0).then_some(cell as usize)
-    };
-    let at = [index(half - y)?, index(half + x)?];
-    let source = match tile.height_source.get(at)? {
-        1 => HeightSource::Height,
-        2 => HeightSource::Levels,
-        3 => HeightSource::Default,
-        _ => return None,
-    };
-    Some((f64::from(*tile.height_m.get(at)?), source))
-}
-
-fn rsrp_npz(meta: &RsrpMeta, map: &AlignedMap) -> Vec<u8> {
-    let members = [
-        ("rsrp_dbm", npy_bytes(&map.rsrp_dbm)),
-        ("mask", npy_bytes(&map.mask)),
-        ("meta_json", npy_bytes(&Array1::from_vec(to_json(meta)))),
-    ];
-    npz_bytes(&members, DEFLATE_LEVEL)
-}
-
-fn rejected_csv(outcomes: &[Outcome]) -> Vec<u8> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    let header = ["file", "location", "code", "expected", "found", "mend"];
-    csv.write_record(header).expect("writing to memory cannot fail");
-    for outcome in outcomes {
-        if let Outcome::Rejected { file, location, rejection } = outcome {
-            let Rejection { code, expected, found, mend } = rejection;
-            csv.write_record([file, location, &code.name(), expected, found, mend])
-                .expect("writing to memory cannot fail");
-        }
-    }
-    csv.into_inner().expect("writing to memory cannot fail")
-}
-
-fn summarise(
-    outcomes: &[Outcome],
-    context: &Context<'_>,
-    fingerprint: String,
-    tiles_digest: &Digest,
-    ignored: Vec<String>,
-) -> RsrpManifest {
-    let mut maps = Vec::new();
-    let mut rejected = BTreeMap::new();
-    let mut radios: Vec<RadioCount> = Vec::new();
-    for outcome in outcomes {
-        match outcome {
-            Outcome::Rejected { rejection, .. } => {
-                *rejected.entry(rejection.code.name()).or_default() += 1;
-            }
-            Outcome::Imported { entry, radio } => {
-                maps.push(entry.clone());
-                match radios.iter_mut().find(|known| known.radio == *radio) {
-                    Some(known) => known.maps += 1,
-                    None => radios.push(RadioCount { radio: radio.clone(), maps: 1 }),
-                }
-            }
-        }
-    }
-    maps.sort_by_key(|entry| entry.id);
-    RsrpManifest {
-        schema: RsrpManifest::SCHEMA.to_owned(),
-        fingerprint,
-        software: Software::this(),
-        licence: context.manifest.licence.clone(),
-        attribution: context.manifest.attribution.clone(),
-        epsg: context.manifest.epsg,
-        config: context.rsrp.clone(),
-        tiles_manifest_sha256: tiles_digest.sha256.clone(),
-        radio: radios,
-        rejected,
-        ignored,
-        maps,
-    }
 }

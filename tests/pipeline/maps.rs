@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use ndarray::{Array2, s};
+use ndarray::{Array2, Axis, s};
 use serde_json::{Value, json};
 use zip::CompressionMethod;
 
@@ -100,12 +100,33 @@ impl Window {
     }
 }
 
-/// RSRP in dBm, row 0 north, NaN where no path arrives (in a quarter of the cells).
-pub(crate) fn physical(seed: u64, cells: usize) -> Array2<f64> {
+/// Where the transmitter of every map stands, and its carrier frequency in Hz.
+const TX: [f64; 3] = [10.0, -20.0, 80.0];
+const FREQUENCY: f64 = 3.5e9;
+/// Height of the receivers, in metres.
+const RX_HEIGHT: f64 = 2.0;
+
+/// RSRP in dBm over a window of a tile, row 0 north: up to 40 dB below free space, and NaN where no
+/// path arrives: in buildings and in a tenth of the other cells.
+pub(crate) fn physical(seed: u64, tile: &str, window: Window) -> Array2<f64> {
+    let cell = window.cell();
+    let buildings = SITE.buildings(tile, cell);
+    let is_building = |row: usize, column: usize| {
+        let inside = |index: usize| index.checked_sub(window.offset());
+        let at = inside(row).zip(inside(column));
+        at.and_then(|(row, column)| buildings.get([row, column])).copied().unwrap_or(false)
+    };
+    let middle = (window.cells() as f64 - 1.0) / 2.0;
+    let wavelength = 299_792_458.0 / FREQUENCY;
     let mut random = Random(seed);
-    Array2::from_shape_simple_fn((cells, cells), || {
-        let (kind, level) = (random.share(), random.share());
-        if kind < 0.25 { f64::NAN } else { -130.0 + 80.0 * level }
+    Array2::from_shape_fn((window.cells(), window.cells()), |(row, column)| {
+        let (kind, shadow) = (random.share(), 40.0 * random.share());
+        let x = (column as f64 - middle) * cell as f64 - TX[0];
+        let y = (middle - row as f64) * cell as f64 - TX[1];
+        let distance = (x * x + y * y + (RX_HEIGHT - TX[2]).powi(2)).sqrt();
+        let friis = 20.0 * (wavelength / (4.0 * std::f64::consts::PI * distance)).log10();
+        let hidden = is_building(row, column) || kind < 0.1;
+        if hidden { f64::NAN } else { POWER_PER_RE + friis - shadow }
     })
 }
 
@@ -123,11 +144,11 @@ pub(crate) fn metadata(tile: &str, window: Window) -> Value {
         "map_center_m": [metres(easting), metres(northing)],
         "map_size_m": window.size(),
         "crs": "EPSG:32635",
-        "rx_height_m": 2.0,
-        "tx_position_m": [10.0, -20.0, 80.0],
+        "rx_height_m": RX_HEIGHT,
+        "tx_position_m": TX,
         "tx_power_dbm": POWER_PER_RE,
         "tx_power_is": "per_re",
-        "frequency_hz": 3.5e9,
+        "frequency_hz": FREQUENCY,
         "tx_pattern": "iso",
         "sionna_version": "sionna-rt 2.2.0",
         "samples_per_tx": 30_000_000,
@@ -144,14 +165,18 @@ pub(crate) fn write_npz(path: &Path, array: &str, values: Vec<u8>, metadata: &Va
     write(path, npz(&members, CompressionMethod::Deflated));
 }
 
-/// A coarse map that is beyond reproach.
-pub(crate) fn good_values() -> Array2<f64> {
+/// A coarse map that is beyond reproach, of a tile of the site: linear path gain, row 0 south.
+pub(crate) fn good_values(tile: &str) -> Array2<f64> {
     let gain = |rsrp: f64| 10.0_f64.powf((rsrp - POWER_PER_RE) / 10.0);
-    physical(7, Window::Coarse.cells()).mapv(|rsrp| if rsrp.is_nan() { 0.0 } else { gain(rsrp) })
+    let mut rsrp = physical(7, tile, Window::Coarse);
+    rsrp.invert_axis(Axis(0));
+    rsrp.mapv(|rsrp| if rsrp.is_nan() { 0.0 } else { gain(rsrp) })
 }
 
 /// Writes [`good_values`] as the map of a tile.
 pub(crate) fn write_good(path: &Path, tile: &str) {
-    let values = npy(&good_values(), Layout::plain(Float::F4));
+    // Of a tile that was dropped only the name matters.
+    let known = SITE.ids.iter().find(|id| *id == tile).unwrap_or(&SITE.ids[0]);
+    let values = npy(&good_values(known), Layout::plain(Float::F4));
     write_npz(path, "path_gain", values, &metadata(tile, Window::Coarse));
 }

@@ -1,0 +1,145 @@
+//! What an import writes beside the maps: their containers, tables, the manifest.
+
+use std::collections::BTreeMap;
+
+use ndarray::Array1;
+use serde::{Deserialize, Serialize};
+
+use super::align::AlignedMap;
+use super::examine::Context;
+use super::rejection::Rejection;
+use crate::manifest::{
+    MapEntry, MapQuality, Radio, RadioCount, RsrpManifest, RsrpMeta, Software, to_json,
+};
+use crate::store::{Digest, npy_bytes, npz_bytes};
+
+/// Deflate level of imported maps; measured noise compresses hardly better at higher ones.
+const DEFLATE_LEVEL: i64 = 1;
+
+/// What became of a file: what the journal remembers.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) enum Outcome {
+    Imported { entry: MapEntry, radio: Radio },
+    Rejected { file: String, location: String, rejection: Rejection },
+}
+
+pub(super) fn rsrp_npz(meta: &RsrpMeta, map: &AlignedMap) -> Vec<u8> {
+    let members = [
+        ("rsrp_dbm", npy_bytes(&map.rsrp_dbm)),
+        ("mask", npy_bytes(&map.mask)),
+        ("meta_json", npy_bytes(&Array1::from_vec(to_json(meta)))),
+    ];
+    npz_bytes(&members, DEFLATE_LEVEL)
+}
+
+/// One line a map that was taken: how good it is.
+pub(super) fn imported_csv(outcomes: &[Outcome]) -> Vec<u8> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let header = [
+        "file",
+        "location",
+        "value_kind",
+        "excess_db",
+        "evidence",
+        "correlation",
+        "agreement",
+        "lead",
+        "unreached",
+        "expected_rays",
+        "samples_per_tx",
+        "sionna_version",
+        "max_depth",
+        "refraction",
+        "diffraction",
+        "frequency_hz",
+        "assumed",
+        "warnings",
+    ];
+    csv.write_record(header).expect("writing to memory cannot fail");
+    let optional = |value: Option<f64>| value.map_or(String::new(), |value| value.to_string());
+    for outcome in outcomes {
+        if let Outcome::Imported { entry, radio } = outcome {
+            let MapQuality { excess_db, orientation, unreached, expected_rays } = entry.quality;
+            let warnings: Vec<_> =
+                entry.warnings.iter().map(|warning| warning.code.name()).collect();
+            let row = [
+                entry.source.file.clone(),
+                entry.id.to_string(),
+                entry.source.value_kind.name().to_owned(),
+                optional(excess_db),
+                orientation.evidence.name().to_owned(),
+                orientation.correlation.to_string(),
+                optional(orientation.agreement),
+                orientation.lead.to_string(),
+                unreached.to_string(),
+                expected_rays.to_string(),
+                radio.samples_per_tx.to_string(),
+                radio.sionna_version.clone(),
+                radio.max_depth.to_string(),
+                radio.refraction.to_string(),
+                radio.diffraction.to_string(),
+                radio.frequency_hz.to_string(),
+                entry.assumed.join(" "),
+                warnings.join(" "),
+            ];
+            csv.write_record(row).expect("writing to memory cannot fail");
+        }
+    }
+    csv.into_inner().expect("writing to memory cannot fail")
+}
+
+/// One line a map that was not taken: why, and what to do.
+pub(super) fn rejected_csv(outcomes: &[Outcome]) -> Vec<u8> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let header = ["file", "location", "code", "expected", "found", "mend"];
+    csv.write_record(header).expect("writing to memory cannot fail");
+    for outcome in outcomes {
+        if let Outcome::Rejected { file, location, rejection } = outcome {
+            let Rejection { code, expected, found, mend } = rejection;
+            csv.write_record([file, location, &code.name(), expected, found, mend])
+                .expect("writing to memory cannot fail");
+        }
+    }
+    csv.into_inner().expect("writing to memory cannot fail")
+}
+
+pub(super) fn summarise(
+    outcomes: &[Outcome],
+    context: &Context<'_>,
+    fingerprint: String,
+    tiles_digest: &Digest,
+    ignored: Vec<String>,
+) -> RsrpManifest {
+    let mut maps = Vec::new();
+    let mut rejected = BTreeMap::new();
+    let mut radios: Vec<RadioCount> = Vec::new();
+    for outcome in outcomes {
+        match outcome {
+            Outcome::Rejected { rejection, .. } => {
+                *rejected.entry(rejection.code.name()).or_default() += 1;
+            }
+            Outcome::Imported { entry, radio } => {
+                maps.push(entry.clone());
+                match radios.iter_mut().find(|known| known.radio == *radio) {
+                    Some(known) => known.maps += 1,
+                    None => radios.push(RadioCount { radio: radio.clone(), maps: 1 }),
+                }
+            }
+        }
+    }
+    maps.sort_by_key(|entry| entry.id);
+    RsrpManifest {
+        schema: RsrpManifest::SCHEMA.to_owned(),
+        fingerprint,
+        software: Software::this(),
+        licence: context.manifest.licence.clone(),
+        attribution: context.manifest.attribution.clone(),
+        epsg: context.manifest.epsg,
+        config: context.rsrp.clone(),
+        tiles_manifest_sha256: tiles_digest.sha256.clone(),
+        radio: radios,
+        rejected,
+        ignored,
+        maps,
+    }
+}

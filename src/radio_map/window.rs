@@ -1,0 +1,62 @@
+//! The central window of a map, north up, and what stands on it.
+
+use ndarray::{Array2, s};
+
+use super::check::{Geometry, no_path};
+use super::load::LoadedMap;
+use super::metadata::{RadioMapMetadata, RowOrder};
+
+/// The window as the map has it: `[n, n]`, row 0 north, column 0 west.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Window {
+    /// Values in the unit of the file.
+    pub(super) values: Array2<f64>,
+    /// Whether a path arrives.
+    pub(super) reached: Array2<bool>,
+}
+
+impl Window {
+    /// Turns north up and cuts the window out.
+    pub(super) fn cut(map: &LoadedMap, metadata: &RadioMapMetadata, geometry: &Geometry) -> Self {
+        let Geometry { offset, cells, .. } = *geometry;
+        let range = offset..offset + cells;
+        let mut values = map.values.view();
+        if metadata.row_order == RowOrder::SouthFirst {
+            values.invert_axis(ndarray::Axis(0));
+        }
+        let values = values.slice(s![range.clone(), range]).to_owned();
+        let is_no_path = no_path(metadata, map.dtype);
+        let reached = values.mapv(|value| !is_no_path(value));
+        Self { values, reached }
+    }
+}
+
+/// What the height grid has on a map's cells, `[n, n]`, row 0 north, column 0 west. Cells that
+/// are partly built are neither.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Surroundings {
+    /// All of the cell is built.
+    pub(super) building: Array2<bool>,
+    /// None of the cell is built.
+    pub(super) outdoor: Array2<bool>,
+}
+
+impl Surroundings {
+    /// `occupied` is the tile's central window, true where a building is as high as the flight
+    /// height; `ratio` is the side of a map's cell in cells of the grid, a whole number or one
+    /// over a whole number.
+    pub(super) fn new(occupied: &Array2<bool>, cells: usize, ratio: f64) -> Self {
+        let range = |index: usize| {
+            let start = (index as f64 * ratio).round().max(0.0);
+            // Cells finer than the grid's lie in one cell of it.
+            let start = if ratio < 1.0 { ((index as f64 + 0.5) * ratio).floor() } else { start };
+            start as usize..start as usize + (ratio.round() as usize).max(1)
+        };
+        let built = Array2::from_shape_fn((cells, cells), |(row, column)| {
+            let cell = occupied.slice(s![range(row), range(column)]);
+            let count = cell.iter().filter(|&&occupied| occupied).count();
+            (count > 0, count == cell.len())
+        });
+        Self { building: built.mapv(|(_, all)| all), outdoor: built.mapv(|(any, _)| !any) }
+    }
+}
