@@ -49,6 +49,22 @@ fn metadata_are_read() {
     }
 }
 
+/// Found by fuzzing: `serde_json` took numbers of many digits for their neighbours, so that metadata
+/// were others after they had been written and read again.
+#[test]
+fn numbers_of_many_digits_are_the_nearest() {
+    for (name, bytes) in seeds("metadata") {
+        let mut metadata: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
+        metadata["rx_height_m"] = serde_json::Value::Null;
+        for digits in ["184467440774191032304.9", "24.938421052631579", "385792.10000000003"] {
+            let text = metadata.to_string().replace("null", digits);
+            let metadata = RadioMapMetadata::parse(text.as_bytes())
+                .unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_eq!(Ok(metadata.rx_height_m), digits.parse::<f64>(), "{name}");
+        }
+    }
+}
+
 #[test]
 fn records_are_read() {
     for (name, bytes) in seeds("record") {

@@ -221,11 +221,7 @@ impl SeekTable {
     ///
     /// # Errors
     /// [`SeekError::Frame`] names the frame if it is damaged or does not exist.
-    pub fn frame(
-        &self,
-        file: &mut (impl Read + Seek),
-        frame: usize,
-    ) -> Result<Vec<u8>, SeekError> {
+    pub fn frame(&self, file: &mut (impl Read + Seek), frame: usize) -> Result<Vec<u8>, SeekError> {
         let damaged = |reason: String| SeekError::Frame { frame, reason };
         let entry = self
             .entries
