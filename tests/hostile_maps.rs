@@ -194,11 +194,8 @@ fn overlapping_and_nested_archives_are_refused() {
     let text = |id: usize| npy_text(metadata(&SITE.ids[id], Window::Coarse).to_string().as_bytes());
     let sound = |id: usize| [("path_gain", f4(&good_values())), ("meta_json", text(id))];
     let mut overlapping = npz(&sound(0), CompressionMethod::Stored);
-    let second = |magic: &[u8]| {
-        let found = overlapping.windows(4).enumerate().filter(|(_, window)| *window == magic);
-        found.last().expect("a header").0
-    };
-    let at = second(b"PK\x01\x02") + 42;
+    let header = overlapping.windows(4).rposition(|window| window == b"PK\x01\x02");
+    let at = header.expect("the second one") + 42;
     overlapping[at..at + 4].copy_from_slice(&[0; 4]);
     let inner = npz(&sound(1), CompressionMethod::Deflated);
     let nested = [("path_gain", inner), ("meta_json", text(1))];

@@ -18,6 +18,9 @@ use crate::error::{Fault, FileError, HasFault};
 
 /// More members than any map or tile has.
 const MAX_MEMBERS: usize = 256;
+/// More bytes than any metadata have, as `.npy`. Parsed JSON takes up to 16 times the memory of
+/// its text.
+pub const MAX_METADATA: u64 = 1 << 20;
 /// A directory of so many members with names of a kilobyte, in bytes.
 const MAX_DIRECTORY: u32 = 1 << 18;
 
@@ -136,8 +139,20 @@ impl<R: Read + Seek> NpzReader<R> {
     /// # Errors
     /// All variants of [`NpzError`] but those of opening.
     pub fn member(&mut self, name: &str) -> Result<Vec<u8>, NpzError> {
+        self.member_within(name, self.limit)
+    }
+
+    /// As [`NpzReader::member`], for metadata: at most [`MAX_METADATA`] bytes, whatever an array may
+    /// have.
+    ///
+    /// # Errors
+    /// As [`NpzReader::member`].
+    pub fn metadata(&mut self, name: &str) -> Result<Vec<u8>, NpzError> {
+        self.member_within(name, self.limit.min(MAX_METADATA))
+    }
+
+    fn member_within(&mut self, name: &str, limit: u64) -> Result<Vec<u8>, NpzError> {
         let present = self.names();
-        let limit = self.limit;
         let too_large = |bytes| NpzError::TooLarge { name: name.to_owned(), bytes, limit };
         let member = match self.archive.by_name(&format!("{name}.npy")) {
             Ok(member) => member,
@@ -303,6 +318,10 @@ mod tests {
         let mut reader = opened(&bytes, 100_000).expect("opens");
         assert!(matches!(reader.member("zeros"), Err(NpzError::TooLarge { .. })));
         assert!(matches!(opened(b"no archive", 10), Err(NpzError::Archive(_))));
+        let mut metadata = opened(&bytes, 1 << 30).expect("opens");
+        let limit = metadata.metadata("zeros").expect_err("too long");
+        assert!(matches!(limit, NpzError::TooLarge { limit: MAX_METADATA, .. }), "{limit}");
+        assert_eq!(metadata.member("zeros").expect("an array").len(), 4_000_128);
         let missing = NpzReader::open(Path::new("/nowhere/a.npz"), 1);
         assert!(matches!(missing, Err(NpzError::File(_))));
     }
