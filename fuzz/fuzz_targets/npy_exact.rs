@@ -3,7 +3,7 @@
 #![no_main]
 
 use half::f16;
-use holescout::store::{DType, Element, NpyError, read_npy};
+use holescout::store::{Element, NpyError, read_npy};
 use holescout_fuzz as _;
 use libfuzzer_sys::arbitrary::{self, Arbitrary};
 use libfuzzer_sys::fuzz_target;
@@ -109,10 +109,8 @@ fuzz_target!(|written: Written| {
         Kind::F8 => written.demand(&file, f64::to_bits),
         Kind::U1 => written.demand(&file, |value: u8| value.into()),
     }
-    let is_empty = written.dim().0 * written.dim().1 == 0;
-    assert!(DType::size(read_npy(&file).expect("sound").dtype) > 0);
     file.push(0);
     assert!(matches!(read_npy(&file), Err(NpyError::Length { .. })));
     file.truncate(file.len() - 2);
-    assert!(read_npy(&file).is_err() || is_empty);
+    assert!(read_npy(&file).is_err());
 });

@@ -16,7 +16,6 @@ const COMPARED: usize = 1 << 20;
 fuzz_target!(init: allow(LARGEST), |bytes: &[u8]| {
     let mut file = Cursor::new(bytes);
     let Ok(table) = SeekTable::read(&mut file) else { return };
-    assert_eq!(table.is_empty(), table.len() == 0);
     assert!(table.frame(&mut file, table.len()).is_err());
     let frames = table.len().min(16);
     let mut whole = Vec::new();
