@@ -217,7 +217,7 @@ FUZZ_HOST = $(shell rustc -vV | sed -n 's/^host: //p')
 fuzz: | tools-torch
 	RUSTFLAGS='$(FUZZ_FLAGS)' cargo build --locked --profile fuzz --manifest-path fuzz/Cargo.toml \
 	  --target-dir $(FUZZ) --target $(FUZZ_HOST) --bins
-	for target in $(FUZZ_TARGETS); do \
+	@for target in $(FUZZ_TARGETS); do \
 	  mkdir -p $(FUZZ)/corpus/$$target $(FUZZ)/crashes/$$target; \
 	  dictionary=fuzz/dictionaries/$$target.dict; \
 	  $(FUZZ)/$(FUZZ_HOST)/fuzz/$$target $(FUZZ)/corpus/$$target fuzz/seeds/$$target \
