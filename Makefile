@@ -6,6 +6,7 @@
 #   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
 #   make test                    everything that needs no large data
 #   make test-real DATA=dir      against GDAL, PROJ and whole cities
+#   make fuzz [FUZZ_SECONDS=60]  the readers of other people's files, each target so long
 #
 # Nothing is redone whose inputs did not change.
 
@@ -35,7 +36,7 @@ RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,10s/^# *//p' Makefile
+	@sed -n '3,11s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
@@ -132,6 +133,7 @@ check: fmt-check lint doc schema-check
 .PHONY: fmt-check
 fmt-check: | tools
 	cargo fmt --check
+	cargo fmt --check --manifest-path fuzz/Cargo.toml
 
 .PHONY: lint
 lint: | tools
@@ -198,6 +200,39 @@ $(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report
 	  python3 -m venv $(VENV); }
 	$(VENV)/bin/pip install -q $(addprefix -r ,$^)
 	@touch $@
+
+## Fuzzing ----------------------------------------------------------------------
+
+# libFuzzer without a sanitizer runs on stable Rust: the readers are safe Rust, and an allocator of the targets' own
+# ends a run that takes too much memory. These are the flags that cargo-fuzz passes.
+FUZZ := target/fuzz
+FUZZ_SECONDS ?= 60
+FUZZ_TARGETS ?= $(sort $(basename $(notdir $(wildcard fuzz/fuzz_targets/*.rs))))
+FUZZ_FLAGS := --cfg fuzzing -Ccodegen-units=1 -Cpasses=sancov-module $(addprefix -Cllvm-args=-sanitizer-coverage-,level=4 \
+  inline-8bit-counters pc-table trace-compares)
+FUZZ_HOST = $(shell rustc -vV | sed -n 's/^host: //p')
+
+# A crash leaves its input in target/fuzz/crashes; to run it again: target/fuzz/<host>/fuzz/<target> <input>
+.PHONY: fuzz
+fuzz: | tools-torch
+	RUSTFLAGS='$(FUZZ_FLAGS)' cargo build --locked --profile fuzz --manifest-path fuzz/Cargo.toml \
+	  --target-dir $(FUZZ) --target $(FUZZ_HOST) --bins
+	@for target in $(FUZZ_TARGETS); do \
+	  mkdir -p $(FUZZ)/corpus/$$target $(FUZZ)/crashes/$$target; \
+	  dictionary=fuzz/dictionaries/$$target.dict; \
+	  $(FUZZ)/$(FUZZ_HOST)/fuzz/$$target $(FUZZ)/corpus/$$target fuzz/seeds/$$target \
+	    $$(test ! -e $$dictionary || echo -dict=$$dictionary) -artifact_prefix=$(FUZZ)/crashes/$$target/ \
+	    -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=1024 > $(FUZZ)/$$target.log 2>&1 \
+	    || { tail -n 50 $(FUZZ)/$$target.log >&2; echo "fuzz: $$target failed" >&2; exit 1; }; \
+	  echo "fuzz: $$target: $$(sed -n 's/^Done \(.*\) in .*/\1/p' $(FUZZ)/$$target.log)"; \
+	done
+
+# Writes fuzz/seeds anew; tests/fuzz_seeds.rs looks at whether they are still read.
+.PHONY: fuzz-seeds
+fuzz-seeds: dataset $(VENV)/.installed
+	$(PYTHON) -B fuzz/make_seeds.py $(OUT)/dataset fuzz/seeds
+
+## Speed ------------------------------------------------------------------------
 
 .PHONY: bench
 bench: $(BIN) dataset $(VENV)/.installed

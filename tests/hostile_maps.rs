@@ -6,7 +6,7 @@ mod pipeline;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Cursor;
+use std::io::{Cursor, Seek, SeekFrom, Write};
 use std::process::Command;
 use std::sync::LazyLock;
 
@@ -122,6 +122,89 @@ fn headers_that_lie_are_refused_without_allocating() {
     for line in rejected {
         assert!(["damaged", "wrong_shape"].contains(&&*line.code), "{line:?}");
     }
+}
+
+/// Sizes at which a computer's arithmetic gives way.
+#[test]
+fn sizes_beyond_memory_are_refused() {
+    let version_2 = |length: u32| {
+        let header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (4, 4), }";
+        [b"\x93NUMPY\x02\x00", &length.to_le_bytes()[..], header, &[0; 64]].concat()
+    };
+    let lies = [
+        npy_raw("'<f8'", false, "(2147483648, 2147483648)", &[0; 64]),
+        npy_raw("'<f8'", false, "(4294967296, 4294967296)", &[]),
+        npy_raw("'<f4'", false, "(0, 4611686018427387904)", &[]),
+        npy_raw("'<f4'", true, "(9223372036854775808, 0)", &[]),
+        npy_raw("'<f4'", false, "(0, 18446744073709551615, 18446744073709551615)", &[]),
+        npy_raw("'<U1000000000'", false, "()", &[0; 64]),
+        npy_raw("'<U18446744073709551615'", false, "(2,)", &[0; 64]),
+        version_2(u32::MAX),
+        version_2(u32::MAX - 11),
+    ];
+    let import = Import::new();
+    for (number, lie) in lies.iter().enumerate() {
+        let metadata = metadata(&SITE.ids[number], Window::Coarse);
+        let path = import.map(&format!("bad.{number}.npz"));
+        write_npz(&path, "path_gain", lie.clone(), &metadata);
+    }
+    limited(&import, 512).succeeds();
+    let rejected = import.listed();
+    assert_eq!(rejected.len(), lies.len());
+    for line in rejected {
+        assert_eq!(line.code, "damaged", "{line:?}");
+    }
+}
+
+/// The end of an archive is in its last bytes and says how many members there are: memory for as
+/// many is not taken on its word. The file is sparse: it takes no space.
+#[test]
+fn a_directory_that_declares_too_much_is_refused_without_allocating() {
+    const DIRECTORY_AT: u64 = 1 << 29;
+    const END_AT: u64 = 2 * DIRECTORY_AT;
+    let members = ((END_AT - DIRECTORY_AT) / 46 - 1).to_le_bytes();
+    let (record_bytes, no_disk) = (44_u64.to_le_bytes(), [0_u8; 8]);
+    let directory = [DIRECTORY_AT.to_le_bytes(), DIRECTORY_AT.to_le_bytes()].concat();
+    let wide = [
+        // ZIP64 end of the directory, its locator, the end (APPNOTE.TXT, 4.3.14 to 4.3.16).
+        [b"PK\x06\x06", &record_bytes[..], &[45, 0, 45, 0], &no_disk].concat(),
+        [&members[..], &members, &directory].concat(),
+        [b"PK\x06\x07", &[0; 4][..], &END_AT.to_le_bytes(), &[1, 0, 0, 0]].concat(),
+        [b"PK\x05\x06", &[0; 4][..], &[0xff; 12], &[0; 2]].concat(),
+    ];
+    let import = Import::new();
+    let path = import.map("bad.npz");
+    write(&path, []);
+    let mut file = fs::OpenOptions::new().write(true).open(&path).expect("opened");
+    for (at, bytes) in [(DIRECTORY_AT, b"PK\x01\x02".to_vec()), (END_AT, wide.concat())] {
+        file.seek(SeekFrom::Start(at)).expect("sought");
+        file.write_all(&bytes).expect("written");
+    }
+    drop(file);
+    limited(&import, 512).succeeds();
+    let rejected = import.listed();
+    assert_eq!(rejected[0].code, "damaged", "{rejected:?}");
+    fs::remove_file(&path).expect("removed");
+}
+
+/// Two members over the same bytes unpack to more than the file's size allows for; a member that
+/// is an archive itself is not looked into.
+#[test]
+fn overlapping_and_nested_archives_are_refused() {
+    let text = |id: usize| npy_text(metadata(&SITE.ids[id], Window::Coarse).to_string().as_bytes());
+    let sound = |id: usize| [("path_gain", f4(&good_values())), ("meta_json", text(id))];
+    let mut overlapping = npz(&sound(0), CompressionMethod::Stored);
+    let header = overlapping.windows(4).rposition(|window| window == b"PK\x01\x02");
+    let at = header.expect("the second one") + 42;
+    overlapping[at..at + 4].copy_from_slice(&[0; 4]);
+    let inner = npz(&sound(1), CompressionMethod::Deflated);
+    let nested = [("path_gain", inner), ("meta_json", text(1))];
+    let import = Import::new();
+    write(&import.map("bad.nested.npz"), npz(&nested, CompressionMethod::Stored));
+    write(&import.map("bad.overlapping.npz"), overlapping);
+    limited(&import, 512).succeeds();
+    let codes: Vec<_> = import.listed().into_iter().map(|line| line.code).collect();
+    assert_eq!(codes, ["damaged", "damaged"]);
 }
 
 /// A large `.npy` is refused by its size on the disk (a sparse file: it takes no space).
@@ -257,6 +340,14 @@ fn an_archive_with_a_name_twice_is_refused() {
         ("meta_jsom", text),
     ];
     twice(&texts, "meta_jsom", "meta_json");
+    // With a comment, the end of the archive is not in its last bytes.
+    let import = Import::new();
+    let mut commented = replaced(&npz(&texts, CompressionMethod::Stored), "meta_jsom", "meta_json");
+    let length_at = commented.len() - 2;
+    commented[length_at] = 4;
+    commented.extend(b"note");
+    write(&import.map("bad.npz"), commented);
+    assert_eq!(import.only_rejection().code, "damaged");
 }
 
 /// What the tests above spoil is sound, else [`SOUND`] fails.

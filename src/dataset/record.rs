@@ -116,6 +116,8 @@ pub enum RecordError {
 impl Record {
     /// The value of `schema`.
     pub const SCHEMA: &'static str = "record.v1";
+    /// The value of `row_order`.
+    pub const ROW_ORDER: &'static str = "north_first";
 
     /// Puts arrays into the byte strings of a record.
     #[must_use]
@@ -138,15 +140,27 @@ impl Record {
     /// Reads a record; the arrays are not looked at yet.
     ///
     /// # Errors
-    /// [`RecordError::Encoding`].
+    /// [`RecordError::Encoding`], also for bytes after the record, and [`RecordError::Value`] for
+    /// another order of rows, in which the arrays would mean another place.
     pub fn decode(bytes: &[u8]) -> Result<Self, RecordError> {
-        let record: Self = rmp_serde::from_slice(bytes)
+        let mut rest = bytes;
+        let record: Self = rmp_serde::from_read(&mut rest)
             .map_err(|error| RecordError::Encoding(error.to_string()))?;
-        if record.schema == Self::SCHEMA {
-            Ok(record)
-        } else {
-            Err(RecordError::Encoding(format!("schema is {:?}", record.schema)))
+        if record.schema != Self::SCHEMA {
+            return Err(RecordError::Encoding(format!("schema is {:?}", record.schema)));
         }
+        if !rest.is_empty() {
+            let found = format!("{} bytes after the record", rest.len());
+            return Err(RecordError::Encoding(found));
+        }
+        if record.row_order != Self::ROW_ORDER {
+            return Err(RecordError::Value {
+                field: "row_order",
+                found: record.row_order,
+                expected: Self::ROW_ORDER.to_owned(),
+            });
+        }
+        Ok(record)
     }
 
     /// The arrays, each a square matrix of `cells` × `cells`.
@@ -240,7 +254,7 @@ pub(crate) mod tests {
             center_m: id.center(),
             center_lon_lat: id.lon_lat(),
             cell_m: 4.0,
-            row_order: "north_first".to_owned(),
+            row_order: Record::ROW_ORDER.to_owned(),
             height_m: ByteBuf::new(),
             rsrp_dbm: ByteBuf::new(),
             mask: ByteBuf::new(),
@@ -304,8 +318,14 @@ pub(crate) mod tests {
         let mut damaged = record.clone();
         damaged.mask = ByteBuf::from(vec![1, 2, 3]);
         assert!(matches!(damaged.grids(2), Err(RecordError::Array { field: "mask", .. })));
-        let mut future = record;
+        let mut future = record.clone();
         future.schema = "record.v2".to_owned();
         assert!(Record::decode(&future.encode()).is_err());
+        let mut turned = record.clone();
+        turned.row_order = "south_first".to_owned();
+        let turned = Record::decode(&turned.encode());
+        assert!(matches!(turned, Err(RecordError::Value { field: "row_order", .. })));
+        let longer = [record.encode(), vec![0xc0]].concat();
+        assert!(matches!(Record::decode(&longer), Err(RecordError::Encoding(_))));
     }
 }

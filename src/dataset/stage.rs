@@ -322,7 +322,7 @@ fn build_record(
         center_m: id.center(),
         center_lon_lat: id.lon_lat(),
         cell_m: config.shard.cell_m(&config.grid),
-        row_order: "north_first".to_owned(),
+        row_order: Record::ROW_ORDER.to_owned(),
         height_m: ByteBuf::new(),
         rsrp_dbm: ByteBuf::new(),
         mask: ByteBuf::new(),

@@ -332,7 +332,6 @@ fn check_record(
     let at_center =
         record.center_m == record.id.center() && record.center_lon_lat == record.id.lon_lat();
     demand(Ok(at_center), "center_m or center_lon_lat differs from the id's")?;
-    demand(Ok(record.row_order == "north_first"), "row_order is not north_first")?;
     Ok(statistics::statistics_of(record, &grids))
 }
 

@@ -133,7 +133,8 @@ impl Arrays {
     }
 
     fn meta<T: DeserializeOwned>(&mut self) -> Result<T, StageFileError> {
-        let bytes = self.member("meta_json")?;
+        let bytes = self.archive.metadata("meta_json");
+        let bytes = bytes.map_err(|error| invalid(&self.path, &error))?;
         let npy = read_npy(&bytes).map_err(|error| invalid(&self.path, &error))?;
         let json = npy.text().ok_or_else(|| invalid(&self.path, &"meta_json is no text"))?;
         serde_json::from_slice(&json).map_err(|error| invalid(&self.path, &error))

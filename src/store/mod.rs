@@ -13,6 +13,6 @@ mod seekable;
 pub use atomic::write_atomic;
 pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
-pub use npz::{NpzError, NpzReader, npz_bytes};
+pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
 pub use output::{MANIFEST, OutputDir, OutputError, SUMS, parse_sums};
 pub use seekable::{SeekError, SeekTable, SeekableWriter, compress_frame, decompress_frame};

@@ -175,9 +175,13 @@ pub fn read_npy(bytes: &[u8]) -> Result<Npy<'_>, NpyError> {
     let (dtype, big_endian) = parse_descr(descr)?;
     let fortran_order = fortran_order.ok_or_else(|| damaged("no 'fortran_order'"))?;
     let shape: Vec<usize> = shape.ok_or_else(|| damaged("no 'shape'"))?;
+    // A zero must not hide how large the other extents are: indices are computed from them.
+    let size = dtype.size() as u64;
     let expected = shape
         .iter()
-        .try_fold(dtype.size() as u64, |product, &extent| product.checked_mul(extent as u64))
+        .try_fold(size.max(1), |product, &extent| product.checked_mul(extent.max(1) as u64))
+        .filter(|&bytes| isize::try_from(bytes).is_ok())
+        .map(|bytes| if size == 0 || shape.contains(&0) { 0 } else { bytes })
         .ok_or_else(|| NpyError::Header(format!("shape {shape:?} is larger than any memory")))?;
     if expected != data.len() as u64 {
         let (dtype, found) = (dtype.name().to_owned(), data.len() as u64);
@@ -301,12 +305,25 @@ fn parse_bool(value: &str) -> Result<bool, NpyError> {
     }
 }
 
+/// A tuple in Python's syntax: one extent needs a comma after it, none needs none.
 fn parse_shape(value: &str) -> Result<Vec<usize>, NpyError> {
     let damaged = || NpyError::Header(format!("shape is {value:?}"));
     let inner =
-        value.strip_prefix('(').and_then(|text| text.strip_suffix(')')).ok_or_else(damaged)?;
-    let extents = inner.split(',').map(str::trim).filter(|text| !text.is_empty());
-    extents.map(|text| text.parse().map_err(|_| damaged())).collect()
+        value.strip_prefix('(').and_then(|text| text.strip_suffix(')')).ok_or_else(damaged)?.trim();
+    if inner.is_empty() {
+        return Ok(vec![]);
+    }
+    let (extents, is_tuple) = match inner.strip_suffix(',') {
+        Some(extents) => (extents, true),
+        None => (inner, inner.contains(',')),
+    };
+    let extents = extents.split(',').map(|text| parse_count(text.trim()).filter(|_| is_tuple));
+    extents.collect::<Option<_>>().ok_or_else(damaged)
+}
+
+/// A number in digits; that of the standard library may have a sign.
+fn parse_count(text: &str) -> Option<usize> {
+    text.bytes().all(|byte| byte.is_ascii_digit()).then(|| text.parse().ok()).flatten()
 }
 
 fn parse_descr(value: &str) -> Result<(DType, bool), NpyError> {
@@ -320,8 +337,8 @@ fn parse_descr(value: &str) -> Result<(DType, bool), NpyError> {
         "u1" => DType::UInt8,
         "O" => return Err(NpyError::Pickled),
         _ => match kind.split_at_checked(1) {
-            Some(("S", length)) => DType::Bytes(length.parse().map_err(|_| unsupported())?),
-            Some(("U", length)) => DType::Unicode(length.parse().map_err(|_| unsupported())?),
+            Some(("S", length)) => DType::Bytes(parse_count(length).ok_or_else(unsupported)?),
+            Some(("U", length)) => DType::Unicode(parse_count(length).ok_or_else(unsupported)?),
             _ => return Err(unsupported()),
         },
     };
@@ -361,6 +378,27 @@ mod tests {
         assert_eq!(read.to_array2::<f64>(), Ok(array![[1.0, 3.0], [2.0, 4.0]]));
     }
 
+    /// Found by fuzzing: `(0, 2^63)` has no element, yet ndarray cannot make it; nor has text of no
+    /// characters any bytes, however much there is of it.
+    #[test]
+    fn an_empty_array_hides_no_huge_extent() {
+        let read = |descr: &str, shape: &str| {
+            let header =
+                format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+            let bytes = file(&header, &[]);
+            read_npy(&bytes).and_then(|npy| npy.to_array2::<f32>())
+        };
+        for shape in ["(0, 9223372036854775808)", "(0, 18446744073709551615)"] {
+            assert!(matches!(read("<f4", shape), Err(NpyError::Header(_))), "{shape}");
+        }
+        assert!(matches!(read("<f4", "(0, 4611686018427387904)"), Err(NpyError::Header(_))));
+        assert_eq!(read("<f4", "(0, 7)"), Ok(Array2::zeros((0, 7))));
+        for descr in ["<U1000000000", "<U0", "|S0"] {
+            let text = read(descr, "(4611686018427387904, 4)");
+            assert!(matches!(text, Err(NpyError::Header(_))), "{descr}");
+        }
+    }
+
     #[test]
     fn every_error_is_reachable() {
         let header = |descr: &str, shape: &str| {
@@ -381,6 +419,9 @@ mod tests {
         assert!(matches!(error(&file(&lie, &[0; 4])), NpyError::Length { .. }));
         let overflow = header("'<f4'", "(18446744073709551615, 2)");
         assert!(matches!(error(&file(&overflow, &[])), NpyError::Header(_)));
+        for shape in ["(4)", "(+4,)", "(4,,1)", "(,4)", "(,)", "(4, -1)", "(4 1)", "4,", "(4,,)"] {
+            assert!(matches!(error(&file(&header("'|u1'", shape), &[0; 4])), NpyError::Header(_)));
+        }
         let vector = file(&header("'<f4'", "(1,)"), &[0; 4]);
         let unexpected = read_npy(&vector).expect("valid").to_array2::<f32>();
         assert!(matches!(unexpected, Err(NpyError::Unexpected { .. })));

@@ -20,6 +20,8 @@ const FOOTER_BYTES: u64 = 9;
 const SKIPPABLE_HEADER_BYTES: u64 = 8;
 /// A record is a few hundred kilobytes; larger frames are refused before allocation.
 const MAX_FRAME_BYTES: u32 = 1 << 28;
+/// `shard.records_per_shard` allows no more; a longer table is refused before allocation.
+const MAX_FRAMES: u32 = 1 << 16;
 
 /// Why a seekable file cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -134,7 +136,7 @@ impl SeekTable {
     ///
     /// # Errors
     /// [`SeekError::Table`] if it is missing, damaged or contradicts the file's size.
-    pub fn read(file: &mut File) -> Result<Self, SeekError> {
+    pub fn read(file: &mut (impl Read + Seek)) -> Result<Self, SeekError> {
         let damaged = |what: String| SeekError::Table(what);
         let size = file.seek(SeekFrom::End(0))?;
         if size < FOOTER_BYTES + SKIPPABLE_HEADER_BYTES {
@@ -150,7 +152,11 @@ impl SeekTable {
         if descriptor != WITH_CHECKSUMS {
             return Err(damaged(format!("descriptor {descriptor:#x}, expected checksums")));
         }
-        let frames = u64::from(u32::from_le_bytes([n0, n1, n2, n3]));
+        let frames = u32::from_le_bytes([n0, n1, n2, n3]);
+        if frames > MAX_FRAMES {
+            return Err(damaged(format!("{frames} frames, at most {MAX_FRAMES}")));
+        }
+        let frames = u64::from(frames);
         let content = frames * ENTRY_BYTES + FOOTER_BYTES;
         let frames_end = size
             .checked_sub(content + SKIPPABLE_HEADER_BYTES)
@@ -215,7 +221,7 @@ impl SeekTable {
     ///
     /// # Errors
     /// [`SeekError::Frame`] names the frame if it is damaged or does not exist.
-    pub fn frame(&self, file: &mut File, frame: usize) -> Result<Vec<u8>, SeekError> {
+    pub fn frame(&self, file: &mut (impl Read + Seek), frame: usize) -> Result<Vec<u8>, SeekError> {
         let damaged = |reason: String| SeekError::Frame { frame, reason };
         let entry = self
             .entries
@@ -268,6 +274,19 @@ mod tests {
         assert!(matches!(table.frame(&mut file, 3), Err(SeekError::Frame { frame: 3, .. })));
         let stream = zstd::stream::decode_all(&bytes[..]).expect("a plain stream");
         assert_eq!(stream, b"firstthird");
+    }
+
+    /// Frames of no bytes cost a file nothing and the table a lot.
+    #[test]
+    fn a_table_of_too_many_frames_is_refused() {
+        let of_frames = |frames: u32| {
+            let empty = Entry { compressed: 0, decompressed: 0, checksum: 0 };
+            let entries = vec![empty; frames as usize];
+            let bytes = SeekableWriter { sink: Vec::new(), entries }.finish().expect("written");
+            SeekTable::read(&mut io::Cursor::new(bytes)).map(|table| table.len())
+        };
+        assert_eq!(of_frames(MAX_FRAMES).expect("as many as allowed"), MAX_FRAMES as usize);
+        assert!(matches!(of_frames(MAX_FRAMES + 1), Err(SeekError::Table(_))));
     }
 
     #[test]

@@ -1,0 +1,85 @@
+//! The seeds of fuzzing are sound files by other programs: all are read, so that fuzzing begins
+//! inside the formats and not at their doors. `make fuzz-seeds` writes them.
+
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+
+use holescout::dataset::Record;
+use holescout::radio_map::RadioMapMetadata;
+use holescout::store::{NpzReader, SeekTable, read_npy};
+
+/// The seeds of a target with their names.
+fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds").join(target);
+    let files = fs::read_dir(folder).expect("a folder of seeds");
+    let seeds: Vec<_> = files
+        .map(|file| file.expect("listed").path())
+        .map(|path| (path.display().to_string(), fs::read(&path).expect("read")))
+        .collect();
+    assert!(!seeds.is_empty(), "no seeds for {target}");
+    seeds
+}
+
+#[test]
+fn arrays_are_read() {
+    for (name, bytes) in seeds("npy") {
+        let npy = read_npy(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(npy.text().is_some(), name.contains("text"), "{name}");
+    }
+}
+
+#[test]
+fn archives_are_read() {
+    for (name, bytes) in seeds("npz") {
+        let mut archive = NpzReader::new(Cursor::new(bytes), 1 << 16)
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(archive.names().len(), if name.ends_with("empty") { 0 } else { 2 }, "{name}");
+        for array in archive.names() {
+            let member = archive.member(&array).unwrap_or_else(|error| panic!("{name}: {error}"));
+            read_npy(&member).unwrap_or_else(|error| panic!("{name}: {array}: {error}"));
+        }
+    }
+}
+
+#[test]
+fn metadata_are_read() {
+    for (name, bytes) in seeds("metadata") {
+        RadioMapMetadata::parse(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+}
+
+/// Found by fuzzing: `serde_json` took numbers of many digits for their neighbours, so that metadata
+/// were others after they had been written and read again.
+#[test]
+fn numbers_of_many_digits_are_the_nearest() {
+    for (name, bytes) in seeds("metadata") {
+        let mut metadata: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
+        metadata["rx_height_m"] = serde_json::Value::Null;
+        for digits in ["1.8446744077419102e20", "24.605934392528546", "385792.10000000003"] {
+            let text = metadata.to_string().replace("null", digits);
+            let metadata = RadioMapMetadata::parse(text.as_bytes())
+                .unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_eq!(Ok(metadata.rx_height_m), digits.parse::<f64>(), "{name}");
+        }
+    }
+}
+
+#[test]
+fn records_are_read() {
+    for (name, bytes) in seeds("record") {
+        let record = Record::decode(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+        record.sound_grids(3).unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+}
+
+#[test]
+fn shards_are_read() {
+    for (name, bytes) in seeds("seekable") {
+        let mut file = Cursor::new(bytes);
+        let table = SeekTable::read(&mut file).unwrap_or_else(|error| panic!("{name}: {error}"));
+        for frame in 0..table.len() {
+            table.frame(&mut file, frame).unwrap_or_else(|error| panic!("{name}: {error}"));
+        }
+    }
+}
