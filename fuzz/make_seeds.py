@@ -102,6 +102,13 @@ def seeds(dataset):
     yield "npz/empty", npz(np.savez)
     yield "npz/unnamed", npz(np.savez, arr_0=linear, meta_json=np.array(json.dumps(metadata)))
 
+    yield "map/fixture", npz(np.savez_compressed, **arrays)
+    yield "map/sionna", npz(np.savez, path_gain=linear.astype(np.float32)[np.newaxis])
+    yield "map/large", npz(np.savez, rm=linear.astype(np.float32), tx_positions=np.array([[9.0], [8.0], [7.0]]))
+    two = metadata | {"tx_position_m": [[0, 0, 9], [1, 2, 3]], "no_path_value": [0, "-inf", "nan"]}
+    stacked = np.stack([linear, linear / 2], axis=-1)
+    yield "map/two", npz(np.savez, path_gain=stacked, meta_json=np.array(json.dumps(two)))
+
     yield "metadata/fixture.json", text
     changes = {
         "total_power": {"tx_power_is": "total", "n_subcarriers": 1200, "crs": 32635},

@@ -1,13 +1,16 @@
 //! The seeds of fuzzing are sound files by other programs: all are read, so that fuzzing begins
 //! inside the formats and not at their doors. `make fuzz-seeds` writes them.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
+use holescout::config::Preset;
 use holescout::dataset::Record;
-use holescout::radio_map::RadioMapMetadata;
+use holescout::radio_map::{RadioMapMetadata, Supplement, load_archive};
 use holescout::store::{NpzReader, SeekTable, read_npy};
+use serde_json::json;
 
 /// The seeds of a target with their names.
 fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
@@ -38,6 +41,48 @@ fn archives_are_read() {
         for array in archive.names() {
             let member = archive.member(&array).unwrap_or_else(|error| panic!("{name}: {error}"));
             read_npy(&member).unwrap_or_else(|error| panic!("{name}: {array}: {error}"));
+        }
+    }
+}
+
+/// With metadata of their own, or by the preset that they are named after.
+#[test]
+fn maps_are_read() {
+    let assume = [
+        ("rx_height_m", json!(2)),
+        ("map_size_m", json!(484)),
+        ("tx_position_m", json!([0, 0, 20])),
+        ("tx_power_dbm", json!(15)),
+        ("tx_power_is", json!("per_re")),
+        ("frequency_hz", json!(3.5e9)),
+        ("tx_pattern", json!("iso")),
+        ("sionna_version", json!("sionna-rt 2.2.0")),
+        ("samples_per_tx", json!(1e7)),
+        ("max_depth", json!(5)),
+        ("refraction", json!(false)),
+        ("diffraction", json!(true)),
+    ];
+    let mut assume: BTreeMap<_, _> =
+        assume.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    for (name, bytes) in seeds("map") {
+        let preset = match name.rsplit_once('/') {
+            Some((_, "sionna")) => Some(Preset::Sionna),
+            Some((_, "large")) => Some(Preset::LargeRadioMaps),
+            _ => None,
+        };
+        if preset == Some(Preset::LargeRadioMaps) {
+            assume.remove("tx_position_m"); // the archive tells it
+        }
+        let supplement = Supplement { preset, assume: preset.map(|_| &assume), scene: None };
+        let path = Path::new("utm10n_e590848_n4128256.npz");
+        let (described, map) =
+            load_archive(Cursor::new(bytes), path, 1 << 16, &supplement, Some(1))
+                .unwrap_or_else(|rejection| panic!("{name}: {rejection}"));
+        assert_eq!(map.values.dim(), (3, 3), "{name}");
+        assert_eq!(described.assumed.is_empty(), preset.is_none(), "{name}");
+        if preset == Some(Preset::LargeRadioMaps) {
+            assert_eq!(map.tx_position_m, [9.0 - 242.0, 8.0 - 242.0, 7.0]);
+            assume.insert("tx_position_m".to_owned(), json!([0, 0, 20]));
         }
     }
 }

@@ -1,14 +1,16 @@
 //! From a file to a matrix of numbers and its metadata; nothing is judged yet.
 
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 use ndarray::Array2;
 
+use super::array::{Layout, positions};
 use super::complete::{ArrayFacts, Supplement};
 use super::metadata::{RadioMapMetadata, parse_object};
 use super::rejection::{Rejection, RejectionCode};
 use crate::manifest::ValueKind;
-use crate::store::{DType, Npy, NpyError, NpzError, NpzReader, read_npy};
+use crate::store::{DType, MAX_METADATA, NpyError, NpzError, NpzReader, read_npy};
 
 /// Array names that tell the kind of values.
 const TELLING_NAMES: [(&str, ValueKind); 9] = [
@@ -60,41 +62,18 @@ pub fn load_metadata(
     limit: u64,
     supplement: &Supplement<'_>,
 ) -> Result<Described, Rejection> {
-    let (written, facts) = match extension(path) {
+    match extension(path) {
         "npz" => {
             let mut archive = NpzReader::open(path, limit).map_err(|error| of_npz(&error))?;
-            let written = if archive.names().iter().any(|name| name == METADATA) {
-                Some(archive_metadata(&mut archive)?)
-            } else if supplement.is_active() {
-                read_sidecar(path)?
-            } else {
-                None
-            };
-            let facts = if supplement.is_active() {
-                facts_of_npz(&mut archive)?
-            } else {
-                ArrayFacts::default()
-            };
-            (written.ok_or("no meta_json in the archive"), facts)
+            describe_archive(&mut archive, path, supplement)
         }
         "npy" => {
             let facts = facts_of_npy(path, limit)?;
-            let written = read_sidecar(path)?;
-            (written.ok_or("a bare array: no .json of the same name beside it"), facts)
+            let found = "a bare array: no .json of the same name beside it";
+            describe(read_sidecar(path)?.ok_or(found), path, supplement, &facts)
         }
-        _ => return Err(unsupported(path)),
-    };
-    let mut object = match written {
-        Ok(json) => parse_object(&json)?,
-        Err(_) if supplement.is_active() => serde_json::Map::new(),
-        Err(found) => return Err(no_metadata(found)),
-    };
-    let assumed = if supplement.is_active() {
-        supplement.complete(&mut object, path, &facts)
-    } else {
-        Vec::new()
-    };
-    Ok(Described { metadata: RadioMapMetadata::from_object(object)?, assumed })
+        _ => Err(unsupported(path)),
+    }
 }
 
 /// Reads the array of a map; of several transmitters, that of `tx` (counted from 0).
@@ -107,28 +86,98 @@ pub fn load_values(
     limit: u64,
     tx: Option<usize>,
 ) -> Result<LoadedMap, Rejection> {
-    let (name, bytes) = match extension(path) {
+    match extension(path) {
         "npz" => {
             let mut archive = NpzReader::open(path, limit).map_err(|error| of_npz(&error))?;
-            let name = value_array(&archive.names())?;
-            let bytes = archive.member(&name).map_err(|error| of_npz(&error))?;
-            (Some(name), bytes)
+            archive_values(&mut archive, metadata, tx)
         }
-        "npy" => (None, read_limited(path, limit)?),
-        _ => return Err(unsupported(path)),
-    };
-    let npy = read_npy(&bytes).map_err(|error| of_npy(&error))?;
-    let kind = value_kind(name.as_deref(), metadata.value_kind)?;
-    check_type(npy.dtype, kind)?;
-    let layout = Layout::of(&npy.shape)?;
-    let index = choose(&layout, metadata.tx_position_m.all().len(), tx, &npy.shape)?;
-    let tx_position_m = metadata.tx_position_m.all()[index];
-    let map = if layout.maps == 1 { 0 } else { index };
-    Ok(LoadedMap { values: layout.matrix(&npy, map), kind, dtype: npy.dtype, tx_position_m })
+        "npy" => map_of(&read_limited(path, limit)?, None, metadata, tx),
+        _ => Err(unsupported(path)),
+    }
 }
 
-fn archive_metadata(archive: &mut NpzReader) -> Result<Vec<u8>, Rejection> {
-    let member = archive.member(METADATA).map_err(|error| of_npz(&error))?;
+/// Reads metadata and array of a `.npz` that need not be a file; `name` stands for its path.
+///
+/// # Errors
+/// As [`load_metadata`] and [`load_values`].
+pub fn load_archive<R: Read + Seek>(
+    source: R,
+    name: &Path,
+    limit: u64,
+    supplement: &Supplement<'_>,
+    tx: Option<usize>,
+) -> Result<(Described, LoadedMap), Rejection> {
+    let mut archive = NpzReader::new(source, limit).map_err(|error| of_npz(&error))?;
+    let described = describe_archive(&mut archive, name, supplement)?;
+    let map = archive_values(&mut archive, &described.metadata, tx)?;
+    Ok((described, map))
+}
+
+fn describe_archive<R: Read + Seek>(
+    archive: &mut NpzReader<R>,
+    path: &Path,
+    supplement: &Supplement<'_>,
+) -> Result<Described, Rejection> {
+    let found = "no meta_json in the archive";
+    let has_metadata = archive.names().iter().any(|name| name == METADATA);
+    let written = if has_metadata { Some(archive_metadata(archive)?) } else { None };
+    if !supplement.is_active() {
+        return describe(written.ok_or(found), path, supplement, &ArrayFacts::default());
+    }
+    let written = if has_metadata { written } else { read_sidecar(path)? };
+    let facts = facts_of_npz(archive)?;
+    describe(written.ok_or(found), path, supplement, &facts)
+}
+
+/// Metadata as they are written, or what was found instead, with what is to be added.
+fn describe(
+    written: Result<Vec<u8>, &str>,
+    path: &Path,
+    supplement: &Supplement<'_>,
+    facts: &ArrayFacts,
+) -> Result<Described, Rejection> {
+    let mut object = match written {
+        Ok(json) => parse_object(&json)?,
+        Err(_) if supplement.is_active() => serde_json::Map::new(),
+        Err(found) => return Err(no_metadata(found)),
+    };
+    let assumed = if supplement.is_active() {
+        supplement.complete(&mut object, path, facts)
+    } else {
+        Vec::new()
+    };
+    Ok(Described { metadata: RadioMapMetadata::from_object(object)?, assumed })
+}
+
+fn archive_values<R: Read + Seek>(
+    archive: &mut NpzReader<R>,
+    metadata: &RadioMapMetadata,
+    tx: Option<usize>,
+) -> Result<LoadedMap, Rejection> {
+    let name = value_array(&archive.names())?;
+    let bytes = archive.member(&name).map_err(|error| of_npz(&error))?;
+    map_of(&bytes, Some(&name), metadata, tx)
+}
+
+/// The map in an `.npy` file; `name` is that of the array in an archive.
+fn map_of(
+    bytes: &[u8],
+    name: Option<&str>,
+    metadata: &RadioMapMetadata,
+    tx: Option<usize>,
+) -> Result<LoadedMap, Rejection> {
+    let npy = read_npy(bytes).map_err(|error| of_npy(&error))?;
+    let kind = value_kind(name, metadata.value_kind)?;
+    check_type(npy.dtype, kind)?;
+    let layout = Layout::of(&npy.shape)?;
+    let positions = metadata.tx_position_m.all();
+    let index = layout.choose(positions.len(), tx)?;
+    let values = layout.matrix(&npy, index);
+    Ok(LoadedMap { values, kind, dtype: npy.dtype, tx_position_m: positions[index] })
+}
+
+fn archive_metadata<R: Read + Seek>(archive: &mut NpzReader<R>) -> Result<Vec<u8>, Rejection> {
+    let member = archive.metadata(METADATA).map_err(|error| of_npz(&error))?;
     let npy = read_npy(&member).map_err(|error| of_npy(&error))?;
     npy.text().ok_or_else(|| {
         Rejection::new(
@@ -142,14 +191,15 @@ fn archive_metadata(archive: &mut NpzReader) -> Result<Vec<u8>, Rejection> {
 
 /// The `.json` of the same name, if there is one.
 fn read_sidecar(path: &Path) -> Result<Option<Vec<u8>>, Rejection> {
-    match std::fs::read(path.with_extension("json")) {
-        Ok(bytes) => Ok(Some(bytes)),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+    let path = path.with_extension("json");
+    match path.try_exists() {
+        Ok(true) => read_limited(&path, MAX_METADATA).map(Some),
+        Ok(false) => Ok(None),
         Err(error) => Err(unreadable(&error)),
     }
 }
 
-fn facts_of_npz(archive: &mut NpzReader) -> Result<ArrayFacts, Rejection> {
+fn facts_of_npz<R: Read + Seek>(archive: &mut NpzReader<R>) -> Result<ArrayFacts, Rejection> {
     let names = archive.names();
     let name = value_array(&names)?;
     let bytes = archive.member(&name).map_err(|error| of_npz(&error))?;
@@ -172,20 +222,6 @@ fn facts_of_npy(path: &Path, limit: u64) -> Result<ArrayFacts, Rejection> {
             let cells = Layout::of(&npy.shape).ok().map(|layout| layout.cells);
             Ok(ArrayFacts { cells, ..ArrayFacts::default() })
         }
-    }
-}
-
-/// Positions from an array `[3, n]` (as in Mitsuba) or `[n, 3]`.
-fn positions(npy: &Npy<'_>) -> Option<Vec<[f64; 3]>> {
-    let values = npy.values_f64();
-    let [rows, columns] = npy.shape[..] else { return None };
-    let at = |row: usize, column: usize| {
-        values[if npy.fortran_order { column * rows + row } else { row * columns + column }]
-    };
-    match (rows, columns) {
-        (3, _) => Some((0..columns).map(|n| [at(0, n), at(1, n), at(2, n)]).collect()),
-        (_, 3) => Some((0..rows).map(|n| [at(n, 0), at(n, 1), at(n, 2)]).collect()),
-        _ => None,
     }
 }
 
@@ -282,16 +318,25 @@ fn value_array(names: &[String]) -> Result<String, Rejection> {
         [] => Err(Rejection::new(
             RejectionCode::NoValueArray,
             format!("an array named one of {}", all()),
-            format!("{names:?}"),
+            some(names),
             "name the array after what it holds: np.savez(path, path_gain=array)",
         )),
         _ => Err(Rejection::new(
             RejectionCode::SeveralValueArrays,
             "one array of values",
-            format!("{candidates:?}"),
+            some(&candidates),
             "save only one of them",
         )),
     }
+}
+
+/// The first of some names, that a message stays short.
+fn some(names: &[impl AsRef<str>]) -> String {
+    const FEW: usize = 8;
+    let few: Vec<&str> = names.iter().take(FEW).map(AsRef::as_ref).collect();
+    let more =
+        if names.len() > FEW { format!(" and {} more", names.len() - FEW) } else { String::new() };
+    format!("{few:?}{more}")
 }
 
 fn value_kind(name: Option<&str>, declared: Option<ValueKind>) -> Result<ValueKind, Rejection> {
@@ -328,101 +373,6 @@ fn check_type(dtype: DType, kind: ValueKind) -> Result<(), Rejection> {
         ),
         _ => Ok(()),
     }
-}
-
-/// How the maps of transmitters lie in an array.
-struct Layout {
-    /// Cells along a side of a map.
-    cells: usize,
-    /// Number of maps.
-    maps: usize,
-    /// Positions of the map's, the row's and the column's axis.
-    axes: [usize; 3],
-}
-
-impl Layout {
-    /// Squares, alone or stacked along the first or the last axis.
-    fn of(shape: &[usize]) -> Result<Self, Rejection> {
-        let layout = match *shape {
-            [rows, columns] if rows == columns => {
-                Self { cells: rows, maps: 1, axes: [usize::MAX, 0, 1] }
-            }
-            [n, rows, columns] if rows == columns => Self { cells: rows, maps: n, axes: [0, 1, 2] },
-            [rows, columns, n] if rows == columns => Self { cells: rows, maps: n, axes: [2, 0, 1] },
-            _ => return Err(wrong_shape(shape)),
-        };
-        if layout.cells == 0 || layout.maps == 0 {
-            return Err(wrong_shape(shape));
-        }
-        Ok(layout)
-    }
-
-    /// One map in C layout.
-    fn matrix(&self, npy: &Npy<'_>, map: usize) -> Array2<f64> {
-        let axes = npy.shape.len();
-        let mut strides = [0; 3];
-        let mut step = 1;
-        for axis in 0..axes {
-            // In Fortran order the first index runs fastest.
-            let axis = if npy.fortran_order { axis } else { axes - 1 - axis };
-            strides[axis] = step;
-            step *= npy.shape[axis];
-        }
-        let stride = |axis: usize| strides.get(axis).copied().unwrap_or(0);
-        let [of_map, of_row, of_column] = self.axes.map(stride);
-        let values = npy.values_f64();
-        Array2::from_shape_fn((self.cells, self.cells), |(row, column)| {
-            values[map * of_map + row * of_row + column * of_column]
-        })
-    }
-}
-
-/// Which transmitter's map is meant. A single map needs no choice; `positions` are told by
-/// the metadata.
-fn choose(
-    layout: &Layout,
-    positions: usize,
-    tx: Option<usize>,
-    shape: &[usize],
-) -> Result<usize, Rejection> {
-    let reject = |code, expected: String, mend: &str| {
-        let found = format!("shape {shape:?}, {positions} positions in tx_position_m");
-        Err(Rejection::new(code, expected, found, mend))
-    };
-    let several = RejectionCode::SeveralTransmitters;
-    match (layout.maps, positions, tx) {
-        (1, 1, _) => Ok(0),
-        (1, ..) => reject(
-            several,
-            "the map of one transmitter".to_owned(),
-            "what several transmitters give together is no RSRP: trace each by itself",
-        ),
-        (_, _, None) => reject(
-            several,
-            "the map of one transmitter, or a choice".to_owned(),
-            "choose one with --tx INDEX (from 0), or save one file a transmitter",
-        ),
-        (maps, _, Some(tx)) if tx >= maps => reject(
-            RejectionCode::NoSuchTransmitter,
-            format!("transmitter {tx}, counted from 0"),
-            "choose another --tx",
-        ),
-        (maps, positions, Some(tx)) if positions == maps => Ok(tx),
-        (maps, ..) => reject(
-            RejectionCode::InvalidMetadata,
-            format!("{maps} positions in tx_position_m, one a map"),
-            "write tx_position_m as [[x, y, z], ...] in the order of the maps",
-        ),
-    }
-}
-
-fn wrong_shape(shape: &[usize]) -> Rejection {
-    let (expected, found) = ("[n, n], or [transmitters, n, n]", format!("{shape:?}"));
-    let mend = match shape {
-        [_] => "values on the faces of a mesh are no grid: trace a plane (center, size, cell_size)",
-        _ => "trace a square map with square cells",
-    };
-    Rejection::new(RejectionCode::WrongShape, expected, found, mend)
 }
 
 /// The files of a directory that may be maps, and the names of the others; both sorted.

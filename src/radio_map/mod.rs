@@ -7,6 +7,7 @@
 //! {0 outdoor reached, 1 building, 2 outdoor unreached}.
 
 mod align;
+mod array;
 mod check;
 mod complete;
 mod convert;
@@ -23,7 +24,7 @@ mod window;
 pub use align::{AlignedMap, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 pub use complete::Supplement;
 pub use convert::to_rsrp;
-pub use load::{Described, LoadedMap, load_metadata, load_values};
+pub use load::{Described, LoadedMap, load_archive, load_metadata, load_values};
 pub use metadata::{Marker, NoPathValue, PowerReference, RadioMapMetadata, RowOrder, TxPosition};
 pub use rejection::{Rejection, RejectionCode};
 pub use stage::{ImportError, ImportJob, import_maps};
