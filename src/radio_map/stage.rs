@@ -231,22 +231,22 @@ fn import_one(
         },
     };
     match imported {
-        Err(rejection) => Ok(output.finish_item(&source.name, None, |_| rejected(rejection))?),
+        Err(rejection) => Ok(output.finish_item(&source.name, &[], |_| rejected(rejection))?),
         Ok((meta, map, warnings)) => {
             let file = format!("{}.npz", meta.id);
             let bytes = rsrp_npz(&meta, &map);
-            let outcome = |digest: Option<&Digest>| Outcome::Imported {
+            let outcome = |written: &[Digest]| Outcome::Imported {
                 entry: MapEntry {
                     id: meta.id,
                     file: file.clone(),
-                    digest: digest.cloned().expect("a file was written"),
+                    digest: written[0].clone(),
                     source: meta.source.clone(),
                     cells: map.counts,
                     warnings,
                 },
                 radio: meta.radio.clone(),
             };
-            Ok(output.finish_item(&source.name, Some((&file, &bytes)), outcome)?)
+            Ok(output.finish_item(&source.name, &[(&file, &bytes)], outcome)?)
         }
     }
 }
