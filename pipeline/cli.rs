@@ -12,9 +12,11 @@ use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
+mod scenes;
 #[cfg(feature = "torch")]
 mod train;
 
+pub(crate) use scenes::ScenesArgs;
 #[cfg(feature = "torch")]
 pub(crate) use train::{DeviceName, ExportPolicyArgs, TrainArgs};
 
@@ -51,6 +53,8 @@ pub(crate) struct Common {
 pub(crate) enum Command {
     /// Rasterise the buildings of OSM extracts to height grids
     Rasterise(RasteriseArgs),
+    /// Write scenes for Sionna RT: the buildings of each tile as closed meshes, and base stations
+    Scenes(ScenesArgs),
     /// Import radio maps that a ray tracer produced for rasterised tiles
     ImportRsrp(ImportArgs),
     /// Crop, downsample and write a sharded dataset
@@ -78,6 +82,7 @@ impl Command {
     pub(crate) fn apply(&self, config: &mut Config) {
         match self {
             Self::Rasterise(args) => args.tiles.apply(config),
+            Self::Scenes(args) => args.apply(config),
             Self::ImportRsrp(args) => args.rsrp.apply(config),
             Self::Shard(args) => args.dataset.apply(config),
             Self::Evaluate(args) => {
@@ -91,6 +96,7 @@ impl Command {
             Self::Train(args) => args.training.apply(config),
             Self::Config(args) => {
                 args.tiles.apply(config);
+                args.scene.apply(config);
                 args.rsrp.apply(config);
                 args.dataset.apply(config);
                 args.judging.apply(config);
@@ -163,7 +169,7 @@ pub(crate) struct ShardArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct VerifyArgs {
-    /// A dataset, or the output of `rasterise` or `import-rsrp`
+    /// A dataset, or the output of another stage
     #[arg(value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub(crate) directory: PathBuf,
 }
@@ -234,6 +240,8 @@ pub(crate) struct SchemasArgs {
 pub(crate) struct ConfigArgs {
     #[command(flatten)]
     pub(crate) tiles: TilesFlags,
+    #[command(flatten)]
+    scene: scenes::SceneFlags,
     #[command(flatten)]
     pub(crate) rsrp: RsrpFlags,
     #[command(flatten)]

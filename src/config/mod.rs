@@ -5,6 +5,7 @@
 
 mod dataset;
 mod rl;
+mod scene;
 mod tiles;
 mod train;
 
@@ -12,6 +13,7 @@ pub use dataset::{
     HeightDownsampling, RsrpConfig, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
 };
 pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
+pub use scene::{Material, Placement, SceneConfig};
 pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
 pub use train::{Loss, Precision, TrainConfig};
 
@@ -59,6 +61,8 @@ pub struct Config {
     pub buildings: BuildingsConfig,
     /// Which tiles are urban enough.
     pub filter: FilterConfig,
+    /// Scenes for a ray tracer.
+    pub scene: SceneConfig,
     /// Import of radio maps.
     pub rsrp: RsrpConfig,
     /// Records and shards.
@@ -82,6 +86,7 @@ impl Config {
         self.grid.validate()?;
         self.buildings.validate()?;
         self.filter.validate()?;
+        self.scene.validate()?;
         self.rsrp.validate()?;
         self.shard.validate(&self.grid)?;
         self.split.validate()?;

@@ -223,8 +223,12 @@ fn build_tile(
     let tile = source.rasterise(id);
     let statistics = tile.statistics;
     let verdict = judge(&statistics, &config.filter);
-    let candidate =
-        |written: &[Digest]| Candidate { id, statistics, verdict, digest: written.first().cloned() };
+    let candidate = |written: &[Digest]| Candidate {
+        id,
+        statistics,
+        verdict,
+        digest: written.first().cloned(),
+    };
     if verdict == Verdict::Kept {
         let bytes = tile_npz(id, &tile, config);
         output.finish_item(&key, &[(&file_name(id), &bytes)], candidate)
