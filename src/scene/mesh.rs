@@ -1,7 +1,5 @@
 //! Triangle meshes, and PLY files of them.
 
-use std::collections::HashMap;
-
 use super::solid::Solid;
 use crate::grid::TileId;
 
@@ -42,13 +40,16 @@ impl Mesh {
     /// directions, so that inside and outside are told apart everywhere.
     #[must_use]
     pub fn is_closed(&self) -> bool {
-        let mut edges: HashMap<[u32; 2], u32> = HashMap::new();
+        let edge = |from: u32, to: u32| (u64::from(from) << 32) | u64::from(to);
+        let mut forth: Vec<u64> = Vec::with_capacity(3 * self.triangles.len());
+        let mut back = forth.clone();
         for &[a, b, c] in &self.triangles {
-            for edge in [[a, b], [b, c], [c, a]] {
-                *edges.entry(edge).or_default() += 1;
-            }
+            forth.extend([edge(a, b), edge(b, c), edge(c, a)]);
+            back.extend([edge(b, a), edge(c, b), edge(a, c)]);
         }
-        edges.iter().all(|([a, b], count)| *count == 1 && edges.contains_key(&[*b, *a]))
+        forth.sort_unstable();
+        back.sort_unstable();
+        forth == back && forth.windows(2).all(|pair| pair[0] < pair[1])
     }
 
     /// The volume inside of a closed mesh, in m³.

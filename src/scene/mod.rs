@@ -6,6 +6,7 @@
 //! checked to be so. Roofs are flat: `roof:shape` is not looked at, as in the height grid.
 
 mod cap;
+mod check;
 mod mesh;
 mod place;
 mod region;
@@ -14,6 +15,7 @@ mod solid;
 mod stage;
 mod xml;
 
+pub use check::check_scene;
 pub use mesh::{Mesh, PlyError, ply_bytes, read_ply};
 pub use sites::{Site, SitesError, read_sites};
 pub use solid::{Solid, Solids, extrude};

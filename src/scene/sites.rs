@@ -1,6 +1,7 @@
 //! Files of base-station sites: CSV with a header, or what OpenCellID exports.
 
 use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use csv::StringRecord;
@@ -172,7 +173,7 @@ fn site(line: &StringRecord, columns: Columns, path: &Path) -> Result<Site, Site
     let optional = |at: Option<usize>| at.map(field).filter(|text| !text.is_empty());
     let wrong = |column: &'static str, found: &str, expected: &'static str| SitesError::Line {
         path: path.to_owned(),
-        line: line.position().map_or(0, csv::Position::line),
+        line: line.position().map_or(0, |position| line_number(path, position)),
         column,
         found: found.to_owned(),
         expected,
@@ -199,6 +200,24 @@ fn site(line: &StringRecord, columns: Columns, path: &Path) -> Result<Site, Site
         on_building: on_building.transpose()?,
         name: optional(columns.name).map(str::to_owned),
     })
+}
+
+/// The line that a record begins in. The parser counts from the empty lines before it on.
+fn line_number(path: &Path, position: &csv::Position) -> u64 {
+    let empty = || -> std::io::Result<u64> {
+        let mut file = File::open(path)?;
+        file.seek(SeekFrom::Start(position.byte()))?;
+        let mut lines = 0;
+        for byte in BufReader::new(file).bytes() {
+            match byte? {
+                b'\n' => lines += 1,
+                b'\r' => {}
+                _ => break,
+            }
+        }
+        Ok(lines)
+    };
+    position.line() + empty().unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -249,7 +268,7 @@ mod tests {
             ("", "line 1 is \"\""),
             ("longitude,latitude\n1,2\n", "columns lon and lat"),
             ("LTE,1,2\n", "columns lon and lat"),
-            ("lon,lat\n1,2\n\nx,2\n", "line 4: lon is \"x\""),
+            ("lon,lat\n1,2\n\r\n\nx,2\n", "line 5: lon is \"x\""),
             ("lon,lat\n1,91\n", "line 2: lat is \"91\""),
             ("lon,lat\n1\n", "line 2: lat is \"\""),
             ("lon,lat\nNaN,1\n", "line 2: lon is \"NaN\""),

@@ -291,6 +291,12 @@ fn sites_near(
             None => counts.outside += 1,
         }
     })?;
+    if near.is_empty() {
+        let SitesInput { file, sites, .. } = counts;
+        let reason =
+            format!("none of the {sites} sites of {file} lies in a square that is to be traced");
+        return Err(SceneError::NoStation { tiles: tiles.tiles.len(), reason });
+    }
     Ok(near)
 }
 
@@ -413,12 +419,7 @@ fn summarise(
     let scenes: Vec<SceneEntry> =
         outcomes.into_iter().filter_map(|outcome| outcome.entry).collect();
     if scenes.is_empty() {
-        let reason = sites.map_or_else(
-            || "no building on the ground in any square that is to be traced".to_owned(),
-            |SitesInput { file, sites, .. }| {
-                format!("none of the {sites} sites of {file} lies in a square that is to be traced")
-            },
-        );
+        let reason = "no building on the ground in any square that is to be traced".to_owned();
         return Err(SceneError::NoStation { tiles, reason });
     }
     let manifest = context.manifest;
