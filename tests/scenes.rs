@@ -172,7 +172,7 @@ fn hand_made_buildings_become_closed_meshes_of_their_volume() {
 #[test]
 fn the_ground_lies_under_everything_and_looks_up() {
     let files = tree(&SCENES);
-    let of = |name: &str| files.iter().filter(move |(file, _)| file.ends_with(name));
+    let of = |name: &'static str| files.iter().filter(move |(file, _)| file.ends_with(name));
     assert_eq!(of("buildings.ply").count(), of("ground.ply").count());
     assert!(of("ground.ply").count() > 50);
     for ((_, buildings), (name, ground)) in of("buildings.ply").zip(of("ground.ply")) {
@@ -357,7 +357,7 @@ fn base_stations_stand_in_the_square_and_above_the_tiles_own_roofs() {
         let out = dir.path().join(placement);
         run(&mut scenes(&out, &["--placement", placement, "--base-stations", "3"])).succeeds();
         let stations = stations(&out);
-        assert!(stations.len() > 150 && stations.len() % 3 == 0, "{}", stations.len());
+        assert!(stations.len() > 150 && stations.len().is_multiple_of(3), "{}", stations.len());
         for (tile, [x, y, z], on_building, height) in &stations {
             assert!(x.abs() < 242.0 && y.abs() < 242.0, "{tile}: {x}, {y}");
             // Above a grounded building by the 2 m, or by more where something floats above it.

@@ -123,7 +123,7 @@ fn next(corner: u32) -> u32 {
 
 /// The previous corner of the same triangle.
 fn previous(corner: u32) -> u32 {
-    if corner % 3 == 0 { corner + 2 } else { corner - 1 }
+    if corner.is_multiple_of(3) { corner + 2 } else { corner - 1 }
 }
 
 /// An edge of a triangle, from its corner to the next one.

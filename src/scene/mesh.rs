@@ -115,7 +115,7 @@ pub fn ply_bytes(mesh: &Mesh) -> Vec<u8> {
     }
     for triangle in triangles {
         bytes.push(3);
-        triangle.iter().for_each(|index| bytes.extend(index.to_le_bytes()));
+        bytes.extend(triangle.iter().flat_map(|index| index.to_le_bytes()));
     }
     bytes
 }

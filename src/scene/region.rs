@@ -9,6 +9,7 @@ use geo::{BoundingRect, LineString, MultiPolygon, Polygon, Rect};
 use i_overlay::core::fill_rule::FillRule;
 use i_overlay::core::overlay::{IntOverlayOptions, Overlay, ShapeType};
 use i_overlay::core::overlay_rule::OverlayRule;
+use i_overlay::core::solver::Solver;
 use i_overlay::i_float::int::point::IntPoint;
 use i_overlay::i_shape::int::shape::{IntContour, IntShape, IntShapes};
 
@@ -36,7 +37,7 @@ impl Region {
         });
         // Points where contours touch stay corners of both, or faces would meet at half an edge.
         let options = IntOverlayOptions::keep_output_points();
-        let mut overlay = Overlay::new_custom(0, options, Default::default());
+        let mut overlay = Overlay::new_custom(0, options, Solver::default());
         let shapes = match &footprint.0[..] {
             [polygon] if without.is_empty() => {
                 overlay.add_contours(&rings(polygon, origin), ShapeType::Subject);
