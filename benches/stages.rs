@@ -5,17 +5,21 @@
 
 #![allow(clippy::print_stdout, reason = "a benchmark prints its figures")]
 
+use std::collections::BTreeSet;
 use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use holescout::building::Building;
 use holescout::config::Config;
 use holescout::dataset::downsample_heights;
-use holescout::grid::{Area, TileId};
+use holescout::grid::{Area, BoxIndex, TileId};
 use holescout::osm::read_buildings;
 use holescout::progress::Silent;
 use holescout::rasterise::{HeightGrid, TileSource};
+use holescout::scene::{Mesh, Solid, Solids, extrude, ply_bytes};
 use holescout::store::{compress_frame, npy_bytes, npz_bytes, sha256_bytes};
+use rayon::prelude::*;
 
 const REPETITIONS: usize = 9;
 /// Tiles that each repetition works on.
@@ -37,6 +41,30 @@ fn median(mut call: impl FnMut()) -> Duration {
 
 fn row(what: &str, time: Duration, per: usize, note: &str) {
     println!("{what:<34} {:>10.3} ms  {note}", time.as_secs_f64() * 1e3 / per as f64);
+}
+
+/// Prisms of all buildings, then the meshes of the densest tiles.
+fn scenes(buildings: &[Building], tiles: &BTreeSet<TileId>, config: &Config) {
+    let made = || extrude(buildings, config.buildings.flight_height_m);
+    let time = median(|| drop(made()));
+    let Solids { solids, .. } = made();
+    let rate = solids.len() as f64 / time.as_secs_f64();
+    row("extrude all buildings (all threads)", time, 1, &format!("{rate:.0} solids/s"));
+
+    let boxes = solids.iter().map(Solid::bounds).collect();
+    let index = BoxIndex::new(boxes, config.grid.spacing_m.into());
+    let mesh = |id: TileId| {
+        let meeting = index.meeting(&id.square(config.grid.side_m.into()));
+        Mesh::of_solids(meeting.into_iter().map(|at| &solids[at]), id)
+    };
+    let densest = tiles.iter().copied().max_by_key(|id| mesh(*id).triangles.len());
+    let densest = densest.expect("the extract fills a tile");
+    let triangles = mesh(densest).triangles.len();
+    let time = median(|| drop(black_box(ply_bytes(&mesh(densest)))));
+    row("densest mesh and PLY (1 thread)", time, 1, &format!("{triangles} triangles"));
+    let all = || tiles.par_iter().map(|id| ply_bytes(&mesh(*id)).len()).sum::<usize>();
+    let time = median(|| drop(black_box(all())));
+    row("all meshes and PLYs (all threads)", time, 1, &format!("{} tiles", tiles.len()));
 }
 
 fn main() {
@@ -64,6 +92,8 @@ fn main() {
     let count = tiles.len();
     let rasterise = median(|| tiles.iter().for_each(|(id, _)| drop(source.rasterise(*id))));
     row("rasterise one tile (1 thread)", rasterise, count, "the densest tiles");
+
+    scenes(&extract.buildings, &source.candidates(), &config);
 
     let members: Vec<Vec<u8>> = tiles.iter().map(|(_, tile)| npy_bytes(&tile.height_m)).collect();
     let raw: usize = members.iter().map(Vec::len).sum();

@@ -13,10 +13,12 @@ use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
 mod rsrp;
+mod scenes;
 #[cfg(feature = "torch")]
 mod train;
 
 pub(crate) use rsrp::RsrpFlags;
+pub(crate) use scenes::ScenesArgs;
 #[cfg(feature = "torch")]
 pub(crate) use train::{DeviceName, ExportPolicyArgs, TrainArgs};
 
@@ -53,6 +55,8 @@ pub(crate) struct Common {
 pub(crate) enum Command {
     /// Rasterise the buildings of OSM extracts to height grids
     Rasterise(RasteriseArgs),
+    /// Write scenes for Sionna RT: the buildings of each tile as closed meshes, and base stations
+    Scenes(ScenesArgs),
     /// Import radio maps that a ray tracer produced for rasterised tiles
     ImportRsrp(ImportArgs),
     /// Crop, downsample and write a sharded dataset
@@ -80,6 +84,7 @@ impl Command {
     pub(crate) fn apply(&self, config: &mut Config) {
         match self {
             Self::Rasterise(args) => args.tiles.apply(config),
+            Self::Scenes(args) => args.apply(config),
             Self::ImportRsrp(args) => {
                 args.rsrp.apply(config);
                 config.rsrp.strict |= args.strict;
@@ -96,6 +101,7 @@ impl Command {
             Self::Train(args) => args.training.apply(config),
             Self::Config(args) => {
                 args.tiles.apply(config);
+                args.scene.apply(config);
                 args.rsrp.apply(config);
                 args.dataset.apply(config);
                 args.judging.apply(config);
@@ -171,7 +177,7 @@ pub(crate) struct ShardArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct VerifyArgs {
-    /// A dataset, or the output of `rasterise` or `import-rsrp`
+    /// A dataset, or the output of another stage
     #[arg(value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub(crate) directory: PathBuf,
 }
@@ -242,6 +248,8 @@ pub(crate) struct SchemasArgs {
 pub(crate) struct ConfigArgs {
     #[command(flatten)]
     pub(crate) tiles: TilesFlags,
+    #[command(flatten)]
+    scene: scenes::SceneFlags,
     #[command(flatten)]
     pub(crate) rsrp: RsrpFlags,
     #[command(flatten)]

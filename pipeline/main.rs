@@ -10,6 +10,7 @@ mod failure;
 mod import_rsrp;
 mod inspect;
 mod rasterise;
+mod scenes;
 mod schemas;
 mod shard;
 #[cfg(feature = "torch")]
@@ -46,6 +47,7 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
     let config = config::merged(&cli.common, &cli.command)?;
     match &cli.command {
         Command::Rasterise(args) => rasterise::run(args, &config, console),
+        Command::Scenes(args) => scenes::run(args, &config, console),
         Command::ImportRsrp(args) => import_rsrp::run(args, &config, console),
         Command::Shard(args) => shard::run(args, &config, console),
         Command::Evaluate(args) => evaluate::run(args, &config, console),

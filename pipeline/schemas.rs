@@ -7,8 +7,8 @@ use holescout::dataset::Record;
 use holescout::error::FileError;
 use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
-    DatasetManifest, EvaluationManifest, PolicyManifest, RsrpManifest, RsrpMeta, TileMeta,
-    TilesManifest, to_json,
+    DatasetManifest, EvaluationManifest, PolicyManifest, RsrpManifest, RsrpMeta, SceneMeta,
+    ScenesManifest, TileMeta, TilesManifest, to_json,
 };
 use holescout::radio_map::RadioMapMetadata;
 use holescout::store::write_atomic;
@@ -66,6 +66,8 @@ fn all() -> Vec<(String, Vec<u8>)> {
         schema::<RadioMapMetadata>(RadioMapMetadata::SCHEMA),
         schema::<TileMeta>(TileMeta::SCHEMA),
         schema::<TilesManifest>(TilesManifest::SCHEMA),
+        schema::<SceneMeta>(SceneMeta::SCHEMA),
+        schema::<ScenesManifest>(ScenesManifest::SCHEMA),
         schema::<RsrpMeta>(RsrpMeta::SCHEMA),
         schema::<RsrpManifest>(RsrpManifest::SCHEMA),
         schema::<Record>(Record::SCHEMA),

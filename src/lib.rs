@@ -13,8 +13,8 @@
 //! 3. [`grid`], [`building`]: tiles and windows; tags, heights, defects
 //! 4. [`store`]: files that are whole or absent, `.npy`, `.npz`, seekable Zstandard
 //! 5. [`manifest`]: what stages write about their outputs
-//! 6. [`osm`], [`rasterise`], [`radio_map`]: extracts to buildings to height grids; anyone's
-//!    radio maps to aligned RSRP
+//! 6. [`osm`], [`rasterise`], [`scene`], [`radio_map`]: extracts to buildings to height grids and
+//!    scenes for a ray tracer; anyone's radio maps to aligned RSRP
 //! 7. [`dataset`]: records, splits, shards; verifying and drawing them
 //! 8. [`rl`]: the task on a record, policies, the exact optimum
 //! 9. [`evaluate`]: precision and recall of policies, with intervals, and the report
@@ -33,5 +33,6 @@ pub mod radio_map;
 pub mod random;
 pub mod rasterise;
 pub mod rl;
+pub mod scene;
 pub mod store;
 pub mod units;

@@ -24,8 +24,13 @@ const LEVELS: [&[&str]; 9] = [
     &["evaluate"],
 ];
 /// Imports within a level that are allowed nevertheless: (importing, imported).
-const WITHIN_LEVEL: [(&str, &str); 3] =
-    [("config", "units"), ("config", "error"), ("rasterise", "osm")];
+const WITHIN_LEVEL: [(&str, &str); 5] = [
+    ("config", "units"),
+    ("config", "error"),
+    ("rasterise", "osm"),
+    ("scene", "osm"),
+    ("scene", "rasterise"),
+];
 /// Crates that are named below one path only.
 const ONLY_BELOW: [(&str, &str); 5] = [
     ("osmpbfreader", "src/osm"),

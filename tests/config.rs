@@ -11,7 +11,9 @@ mod common;
 use std::ffi::OsString;
 use std::path::Path;
 
-use holescout::config::{Config, HeightDownsampling, Loss, Method, RsrpDownsampling, TrainConfig};
+use holescout::config::{
+    Config, HeightDownsampling, Loss, Method, Placement, RsrpDownsampling, TrainConfig,
+};
 use holescout::units::Dbm;
 
 use common::{files, fixture, read, run, scratch, write};
@@ -35,6 +37,12 @@ attribution = "© OpenStreetMap contributors, \"quoted\""
 [filter]
 min_buildings = 1
 min_built = 0.25
+
+[scene]
+placement = "roof"
+base_stations = 3
+map_size_m = 408
+building_material = "brick"
 
 [rsrp]
 floor_dbm = -150.0
@@ -163,6 +171,27 @@ fn flags_override_the_file_and_leave_the_rest() {
     expected.buildings.default_height_m = 7.0;
     expected.filter.min_buildings = 0;
     expected.filter.min_built = 0.5;
+    assert_eq!(parsed(&printed(&flags)), expected);
+}
+
+#[test]
+fn flags_of_scenes_override_too() {
+    let flags = args![
+        "--placement",
+        "roof",
+        "--base-stations",
+        "4",
+        "--scene-seed",
+        "9",
+        "--height-above",
+        "3.5",
+        "--map-size",
+        "492",
+    ];
+    let mut expected = Config::default();
+    let scene = &mut expected.scene;
+    (scene.placement, scene.base_stations, scene.seed) = (Placement::Roof, 4, 9);
+    (scene.height_above_m, scene.map_size_m) = (3.5, Some(492));
     assert_eq!(parsed(&printed(&flags)), expected);
 }
 

@@ -276,7 +276,7 @@ fn a_forged_journal_removes_no_file_outside_of_the_directory() {
     let digest = serde_json::json!({"bytes": 1, "sha256": "00"});
     let mut lines = vec![serde_json::json!({"stage": "dataset", "fingerprint": "other"})];
     for name in ["../thesis.tex", &outside.to_string_lossy()] {
-        lines.push(serde_json::json!({"key": name, "file": [name, digest], "item": null}));
+        lines.push(serde_json::json!({"key": name, "files": [[name, digest]], "item": null}));
     }
     let journal: Vec<String> = lines.iter().map(|line: &Value| format!("{line}\n")).collect();
     write(&out.join(JOURNAL), journal.concat());

@@ -43,11 +43,15 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
     let merged = run(&mut merged).succeeds();
     let parse = |text: &str| serde_json::from_str(text).expect("JSON");
     let manifest = |stage: &Path| vec![read_json(&stage.join("manifest.json"))];
+    let scenes = tree(&SCENES).into_keys().filter(|name| name.ends_with("scene.json"));
+    let scenes = scenes.map(|name| read_json(&SCENES.join(name))).collect();
     BTreeMap::from([
         ("config.v1", vec![parse(&config), parse(&merged)]),
         ("radio_map.v1", npz(&fixture("helsinki/rsrp"))),
         ("tile.v1", npz(&HELSINKI.tiles)),
         ("tiles.v1", manifest(&HELSINKI.tiles)),
+        ("scene.v1", scenes),
+        ("scenes.v1", manifest(&SCENES)),
         ("rsrp_map.v1", npz(&HELSINKI.rsrp)),
         ("rsrp.v1", manifest(&HELSINKI.rsrp)),
         ("record.v1", records()),
@@ -82,6 +86,21 @@ static EVALUATION: LazyLock<PathBuf> = LazyLock::new(|| {
     let mut evaluate = holescout("evaluate");
     evaluate.arg("--dataset").arg(&HELSINKI.dataset).arg("--out").arg(&out);
     run(evaluate.args(["--split", "val", "--starts", "5", "--bootstrap", "100"])).succeeds();
+    out
+});
+
+/// Scenes of the fixtures with base stations of a file, so that nothing optional is missing.
+static SCENES: LazyLock<PathBuf> = LazyLock::new(|| {
+    let dir = shared_dir("schemas-scenes");
+    let (out, sites) = (dir.join("out"), dir.join("sites.csv"));
+    write(&sites, "lon,lat,name\n24.9425,60.1715,one\n24.9440,60.1700,\n");
+    let mut scenes = holescout("scenes");
+    scenes
+        .arg("--osm")
+        .arg(fixture("helsinki/helsinki.osm.pbf"))
+        .arg("--tiles")
+        .arg(&HELSINKI.tiles);
+    run(scenes.arg("--sites").arg(&sites).arg("--out").arg(&out)).succeeds();
     out
 });
 
@@ -204,6 +223,14 @@ fn tampered_values_do_not_validate() {
         ("tiles.v1", "/tiles/0/digest/sha256", json!("ABC")),
         ("tiles.v1", "/inputs/0/digest/bytes", json!(-5)),
         ("tiles.v1", "/schema", json!("rsrp.v1")),
+        ("scene.v1", "/base_stations/0/position_m", json!([1.0, 2.0])),
+        ("scene.v1", "/materials/ground", json!("asphalt")),
+        ("scene.v1", "/id", json!("helsinki")),
+        ("scene.v1", "/schema", json!("scene.v2")),
+        ("scenes.v1", "/scenes/0/files/0/digest/sha256", json!("ABC")),
+        ("scenes.v1", "/config/scene/placement", json!("tower")),
+        ("scenes.v1", "/left_out/no_area", json!(-1)),
+        ("scenes.v1", "/schema", json!("tiles.v1")),
         ("rsrp_map.v1", "/source/value_kind", json!("gain")),
         ("rsrp_map.v1", "/schema", json!("rsrp_map.v0")),
         ("rsrp_map.v1", "/row_order", json!("south_first")),

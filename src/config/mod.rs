@@ -6,6 +6,7 @@
 mod dataset;
 mod rl;
 mod rsrp;
+mod scene;
 mod tiles;
 mod train;
 
@@ -14,6 +15,7 @@ pub use dataset::{
 };
 pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
 pub use rsrp::{Preset, RsrpConfig};
+pub use scene::{Material, Placement, SceneConfig};
 pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
 pub use train::{Loss, Precision, TrainConfig};
 
@@ -61,6 +63,8 @@ pub struct Config {
     pub buildings: BuildingsConfig,
     /// Which tiles are urban enough.
     pub filter: FilterConfig,
+    /// Scenes for a ray tracer.
+    pub scene: SceneConfig,
     /// Import of radio maps.
     pub rsrp: RsrpConfig,
     /// Records and shards.
@@ -84,6 +88,7 @@ impl Config {
         self.grid.validate()?;
         self.buildings.validate()?;
         self.filter.validate()?;
+        self.scene.validate()?;
         self.rsrp.validate()?;
         self.shard.validate(&self.grid)?;
         self.split.validate()?;

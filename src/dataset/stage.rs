@@ -291,16 +291,16 @@ fn build_shard(
         statistics::add(&mut sum, of_record);
     }
     let bytes = writer.finish().map_err(FileError::new("write", Path::new(&shard.file)))?;
-    let done = |digest: Option<&Digest>| DoneShard {
+    let done = |written: &[Digest]| DoneShard {
         entry: ShardEntry {
             file: shard.file.clone(),
             split: shard.split,
-            digest: digest.cloned().expect("a file was written"),
+            digest: written[0].clone(),
             records: shard.ids.len() as u32,
         },
         statistics: sum.expect("a shard has at least one record"),
     };
-    Ok(output.finish_item(&shard.file, Some((&shard.file, &bytes)), done)?)
+    Ok(output.finish_item(&shard.file, &[(&shard.file, &bytes)], done)?)
 }
 
 fn build_record(

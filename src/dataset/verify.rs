@@ -15,9 +15,10 @@ use crate::config::{Config, Split};
 use crate::grid::TileId;
 use crate::manifest::{
     DatasetConfig, DatasetManifest, EvaluationManifest, ManifestError, RsrpFile, RsrpManifest,
-    ShardEntry, SplitStatistics, TileFile, TilesManifest, load,
+    ScenesManifest, ShardEntry, SplitStatistics, TileFile, TilesManifest, load,
 };
 use crate::progress::Progress;
+use crate::scene::check_scene;
 use crate::store::{MANIFEST, SUMS, parse_sums, sha256_file};
 
 /// Something that is wrong.
@@ -77,6 +78,13 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
                 let read = RsrpFile::read(root, entry).map_err(|error| error.to_string());
                 let matches = read.map(|map| map.meta.id == entry.id);
                 (&entry.file, demand(matches, "tile id differs from the manifest's"))
+            })
+        }
+        Some(ScenesManifest::SCHEMA) => {
+            let (manifest, _) = load::<ScenesManifest>(root, "scenes", ScenesManifest::SCHEMA)?;
+            check_items(&manifest.scenes, progress, &mut failures, |entry| {
+                let file = entry.files.first().map_or(MANIFEST, |first| &first.file);
+                (file, check_scene(root, entry))
             })
         }
         Some(EvaluationManifest::SCHEMA) => {
@@ -168,7 +176,7 @@ fn check_items<'a, T: Sync>(
     entries: &'a [T],
     progress: &dyn Progress,
     failures: &mut Vec<VerifyFailure>,
-    check: impl Fn(&'a T) -> (&'a String, Result<(), String>) + Sync,
+    check: impl Fn(&'a T) -> (&'a str, Result<(), String>) + Sync,
 ) -> usize {
     progress.begin("reading items", Some(entries.len() as u64));
     let wrong: Vec<VerifyFailure> = entries

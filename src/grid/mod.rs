@@ -4,9 +4,11 @@
 //! westernmost**; all coordinates are UTM metres unless a name says `lon`/`lat`.
 
 mod area;
+mod boxes;
 mod tile_id;
 mod window;
 
 pub use area::{Area, AreaError};
+pub use boxes::BoxIndex;
 pub use tile_id::{TileId, TileIdError};
 pub use window::Window;

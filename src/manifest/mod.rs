@@ -9,6 +9,7 @@ mod evaluation;
 mod files;
 mod policy;
 mod rsrp;
+mod scenes;
 mod tiles;
 
 pub use common::{Input, ManifestError, Software, fingerprint, load, to_json};
@@ -21,6 +22,10 @@ pub use policy::PolicyManifest;
 pub use rsrp::{
     BaseStation, Evidence, MapEntry, MapQuality, MapWarning, MaskCounts, OrientationScore, Radio,
     RadioCount, RsrpManifest, RsrpMeta, SourceMap, ValueKind, WarningCode,
+};
+pub use scenes::{
+    LeftOutSolids, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation, ScenesConfig,
+    ScenesManifest, SitesInput,
 };
 pub use tiles::{
     BuildingCounts, BuiltBySource, TileEntry, TileMeta, TileStatistics, TilesConfig, TilesManifest,

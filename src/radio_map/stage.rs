@@ -202,17 +202,17 @@ fn import_one(
         Err(Refusal::Rejected(rejection)) => {
             let location = described.map_or("", |known| &known.metadata.location_id).to_owned();
             let file = source.name.clone();
-            let outcome = |_: Option<&Digest>| Outcome::Rejected { file, location, rejection };
-            Ok(output.finish_item(&source.name, None, outcome)?)
+            let outcome = |_: &[Digest]| Outcome::Rejected { file, location, rejection };
+            Ok(output.finish_item(&source.name, &[], outcome)?)
         }
         Ok((Examined { meta, map, quality, warnings }, Described { assumed, .. })) => {
             let file = format!("{}.npz", meta.id);
             let bytes = rsrp_npz(&meta, &map);
-            let outcome = |digest: Option<&Digest>| Outcome::Imported {
+            let outcome = |written: &[Digest]| Outcome::Imported {
                 entry: MapEntry {
                     id: meta.id,
                     file: file.clone(),
-                    digest: digest.cloned().expect("a file was written"),
+                    digest: written[0].clone(),
                     source: meta.source.clone(),
                     cells: map.counts,
                     quality,
@@ -221,7 +221,7 @@ fn import_one(
                 },
                 radio: meta.radio.clone(),
             };
-            Ok(output.finish_item(&source.name, Some((&file, &bytes)), outcome)?)
+            Ok(output.finish_item(&source.name, &[(&file, &bytes)], outcome)?)
         }
     }
 }

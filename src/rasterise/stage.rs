@@ -223,13 +223,17 @@ fn build_tile(
     let tile = source.rasterise(id);
     let statistics = tile.statistics;
     let verdict = judge(&statistics, &config.filter);
-    let candidate =
-        |digest: Option<&Digest>| Candidate { id, statistics, verdict, digest: digest.cloned() };
+    let candidate = |written: &[Digest]| Candidate {
+        id,
+        statistics,
+        verdict,
+        digest: written.first().cloned(),
+    };
     if verdict == Verdict::Kept {
         let bytes = tile_npz(id, &tile, config);
-        output.finish_item(&key, Some((&file_name(id), &bytes)), candidate)
+        output.finish_item(&key, &[(&file_name(id), &bytes)], candidate)
     } else {
-        output.finish_item(&key, None, candidate)
+        output.finish_item(&key, &[], candidate)
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! While a build runs, the directory holds a journal (`.holescout-build.jsonl`): its first
 //! line says which stage builds from which inputs, every further line names an item that
-//! is done, with the digest of its file. A killed build leaves the journal and no
+//! is done, with the digests of its files. A killed build leaves the journal and no
 //! manifest; the next run with the same inputs takes over what the journal vouches for.
 //! The manifest is written last and the journal removed after it, so a directory with a
 //! manifest is whole.
@@ -85,7 +85,7 @@ struct Plan {
 #[derive(Debug, Serialize, Deserialize)]
 struct Line<T> {
     key: String,
-    file: Option<(String, Digest)>,
+    files: Vec<(String, Digest)>,
     item: T,
 }
 
@@ -173,8 +173,7 @@ impl OutputDir {
             earlier.extend(lines.into_iter().map(|line| (line.key.clone(), line)));
         } else {
             // What an interrupted build of other inputs wrote, as long as its journal tells.
-            let files = lines.into_iter().filter_map(|line| Some(line.file?.0));
-            remove_inside(root, files)?;
+            remove_inside(root, names(lines))?;
             journal.set_len(0).map_err(in_journal("write"))?;
             write_line(&mut journal, &plan).map_err(in_journal("write"))?;
         }
@@ -187,41 +186,45 @@ impl OutputDir {
         })
     }
 
-    /// An item that an earlier, interrupted run finished, if its file is still what the
+    /// An item that an earlier, interrupted run finished, if its files are still what the
     /// journal says.
     pub fn finished<T: DeserializeOwned>(&self, key: &str) -> Option<T> {
         let line = self.earlier.get(key)?;
-        if let Some((name, digest)) = &line.file {
-            if sha256_file(&self.root.join(name)).ok()? != *digest {
-                return None;
-            }
-            self.remember(name, digest);
+        let item = serde_json::from_value(line.item.clone()).ok()?;
+        let sound = |(name, digest): &(String, Digest)| {
+            sha256_file(&self.root.join(name)).is_ok_and(|found| found == *digest)
+        };
+        if !line.files.iter().all(sound) {
+            return None;
         }
-        serde_json::from_value(line.item.clone()).ok()
+        line.files.iter().for_each(|(name, digest)| self.remember(name, digest));
+        Some(item)
     }
 
-    /// Writes a file and notes in the journal that the item `key` is done.
+    /// Writes the files of an item, by name and content, and notes in the journal that the item
+    /// `key` is done. `item` is given the digests of the files, in their order.
     ///
     /// # Errors
-    /// When writing fails; the file is then absent.
+    /// When writing fails; the item then counts as not done.
     pub fn finish_item<T: Serialize>(
         &self,
         key: &str,
-        file: Option<(&str, &[u8])>,
-        item: impl FnOnce(Option<&Digest>) -> T,
+        files: &[(&str, &[u8])],
+        item: impl FnOnce(&[Digest]) -> T,
     ) -> Result<T, FileError> {
-        let key = key.to_owned();
-        let file = match file {
-            None => None,
-            Some((name, bytes)) => {
-                // Announced first, so that no file is there of which the journal knows nothing.
-                let announced = Some((name.to_owned(), sha256_bytes(bytes)));
-                self.note(&Line { key: key.clone(), file: announced, item: () })?;
-                Some((name.to_owned(), self.write(name, bytes)?))
-            }
-        };
-        let item = item(file.as_ref().map(|(_, digest)| digest));
-        let line = Line { key, file, item };
+        let digests: Vec<Digest> = files.iter().map(|(_, bytes)| sha256_bytes(bytes)).collect();
+        let named = files.iter().zip(&digests);
+        let files_of_item: Vec<(String, Digest)> =
+            named.map(|((name, _), digest)| ((*name).to_owned(), digest.clone())).collect();
+        if !files.is_empty() {
+            // Announced first, so that no file is there of which the journal knows nothing.
+            let announced = files_of_item.clone();
+            self.note(&Line { key: key.to_owned(), files: announced, item: () })?;
+        }
+        for ((name, bytes), digest) in files.iter().zip(&digests) {
+            self.put(name, bytes, digest)?;
+        }
+        let line = Line { key: key.to_owned(), files: files_of_item, item: item(&digests) };
         self.note(&line)?;
         Ok(line.item)
     }
@@ -238,14 +241,19 @@ impl OutputDir {
     /// # Errors
     /// When writing fails; the file is then absent.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<Digest, FileError> {
+        let digest = sha256_bytes(bytes);
+        self.put(name, bytes, &digest)?;
+        Ok(digest)
+    }
+
+    fn put(&self, name: &str, bytes: &[u8], digest: &Digest) -> Result<(), FileError> {
         let path = self.root.join(name);
         if let Some(parent) = path.parent() {
             std::fs::create_dir_all(parent).map_err(FileError::new("create", parent))?;
         }
         write_unsynced(&path, bytes)?;
-        let digest = sha256_bytes(bytes);
-        self.remember(name, &digest);
-        Ok(digest)
+        self.remember(name, digest);
+        Ok(())
     }
 
     /// Completes the output: checksums, manifest, end of the journal.
@@ -346,10 +354,23 @@ fn remove_finished(root: &Path) -> Result<(), FileError> {
     Ok(())
 }
 
-/// Removes files by names that come from a disk and must not lead out of their directory.
+/// The files that lines of a journal name.
+fn names(lines: Vec<Line<serde_json::Value>>) -> impl Iterator<Item = String> {
+    lines.into_iter().flat_map(|line| line.files).map(|(name, _)| name)
+}
+
+/// Removes files by names that come from a disk and must not lead out of their directory, and
+/// the directories below it that are empty then.
 fn remove_inside(root: &Path, names: impl Iterator<Item = String>) -> Result<(), FileError> {
-    let mut names = names.filter(|name| stays_inside(name));
-    names.try_for_each(|name| remove_if_there(&root.join(name)))
+    for name in names.filter(|name| stays_inside(name)) {
+        let path = root.join(name);
+        remove_if_there(&path)?;
+        if let Some(parent) = path.parent().filter(|parent| *parent != root) {
+            // It fails where other files are left, as it should.
+            let _ = std::fs::remove_dir(parent);
+        }
+    }
+    Ok(())
 }
 
 /// Whether an open file is still the one at a path: its owner may have removed it.
@@ -378,8 +399,7 @@ fn directories(root: &Path, files: &BTreeMap<String, Digest>) -> BTreeSet<PathBu
 /// output does not list.
 fn remove_leftovers(root: &Path, files: &BTreeMap<String, Digest>) -> Result<(), FileError> {
     if let Some((_, lines)) = read_journal(root) {
-        let journaled = lines.into_iter().filter_map(|line| Some(line.file?.0));
-        remove_inside(root, journaled.filter(|name| !files.contains_key(name)))?;
+        remove_inside(root, names(lines).filter(|name| !files.contains_key(name)))?;
     }
     for directory in directories(root, files) {
         let entries = std::fs::read_dir(&directory).map_err(FileError::new("list", &directory))?;
@@ -412,8 +432,7 @@ mod tests {
     }
 
     fn fill(output: &OutputDir) {
-        let item = |_: Option<&Digest>| 7;
-        output.finish_item("a", Some(("a.bin", b"A")), item).expect("written");
+        output.finish_item("a", &[("a.bin", b"A")], |_| 7).expect("written");
     }
 
     #[test]
@@ -428,6 +447,25 @@ mod tests {
     }
 
     #[test]
+    fn an_item_of_several_files_is_trusted_as_a_whole_and_removed_with_its_directory() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let files: [(&str, &[u8]); 2] = [("a/one.bin", b"1"), ("a/two.bin", b"22")];
+        let output = begin(dir.path(), "abc", false).expect("begun");
+        let sizes = output.finish_item("a", &files, |digests| {
+            digests.iter().map(|digest| digest.bytes).collect::<Vec<_>>()
+        });
+        assert_eq!(sizes.expect("written"), [1, 2]);
+        drop(output);
+        let resumed = begin(dir.path(), "abc", false).expect("resumed");
+        assert_eq!(resumed.finished::<Vec<u64>>("a"), Some(vec![1, 2]));
+        std::fs::write(dir.path().join("a/two.bin"), b"23").expect("damaged");
+        assert_eq!(resumed.finished::<Vec<u64>>("a"), None);
+        drop(resumed);
+        drop(begin(dir.path(), "xyz", true).expect("overwritten"));
+        assert!(!dir.path().join("a").exists());
+    }
+
+    #[test]
     fn a_torn_journal_line_is_ignored() {
         let dir = tempfile::tempdir().expect("a directory");
         fill(&begin(dir.path(), "abc", false).expect("begun"));
@@ -435,7 +473,7 @@ mod tests {
         let text = std::fs::read_to_string(&path).expect("read");
         std::fs::write(&path, format!("{text}{{\"key\":\"b\",\"fi")).expect("torn");
         let resumed = begin(dir.path(), "abc", false).expect("resumed");
-        resumed.finish_item("c", None, |_| 9).expect("written");
+        resumed.finish_item("c", &[], |_| 9).expect("written");
         drop(resumed);
         let again = begin(dir.path(), "abc", false).expect("resumed");
         assert_eq!(again.finished::<i32>("a"), Some(7));

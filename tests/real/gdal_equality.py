@@ -83,10 +83,14 @@ def valid_height(height: float | None) -> bool:
     return height is not None and 0.0 < height <= MAX_HEIGHT_M
 
 
-def is_building(tags: Mapping[str, str]) -> bool:
-    """Say whether the tags are those of a building above ground that stands."""
-    value = tags.get("building")
-    return value is not None and value not in NOT_BUILT and tags.get("location") != "underground"
+def is_building(tags: Mapping[str, str], key: str = "building") -> bool:
+    """Say whether the tags are those of a building above ground that stands, or of a part of one.
+
+    The key `building` makes a building of what has the other one as well.
+    """
+    value = tags.get(key)
+    is_part_too = key != "building" and "building" in tags
+    return value is not None and value not in NOT_BUILT and tags.get("location") != "underground" and not is_part_too
 
 
 def height_of(tags: Mapping[str, str]) -> float:
@@ -104,12 +108,17 @@ def height_of(tags: Mapping[str, str]) -> float:
     return DEFAULT_HEIGHT_M
 
 
-def is_elevated(tags: Mapping[str, str]) -> bool:
-    """Say whether one can fly below the building: a roof on posts, a skyway."""
+def base_of(tags: Mapping[str, str]) -> float:
+    """Return the height of a building's underside: from `min_height`, else its lowest level, else 0."""
     base = length_m(tags.get("min_height"))
     if base is None or base > MAX_HEIGHT_M:
         base = LEVEL_M * (number(tags.get("building:min_level")) or 0.0)
-    return tags["building"] == "roof" or base > FLIGHT_HEIGHT_M
+    return base
+
+
+def is_elevated(tags: Mapping[str, str], key: str = "building") -> bool:
+    """Say whether one can fly below the building: a roof on posts, a skyway."""
+    return tags[key] == "roof" or base_of(tags) > FLIGHT_HEIGHT_M
 
 
 # ---------------------------------------------------------------- OSM
@@ -117,9 +126,10 @@ def is_elevated(tags: Mapping[str, str]) -> bool:
 
 @dataclass
 class Footprint:
-    """A building's polygons (each an outer ring and its holes) and its height."""
+    """A building's polygons (each an outer ring and its holes), its underside and its height."""
 
     ident: str
+    base: float
     height: float
     elevated: bool
     polygons: list[list[np.ndarray]]
@@ -179,42 +189,48 @@ def known_nodes(nodes: Iterable[osmium.osm.NodeRef]) -> np.ndarray:
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 
+def footprint_of(
+    ident: str, tags: Mapping[str, str], key: str, polygons: list[list[np.ndarray]],
+) -> Footprint:
+    """Return polygons with what the tags say."""
+    return Footprint(ident, base_of(tags), height_of(tags), is_elevated(tags, key), polygons)
+
+
 def area_polygons(area: osmium.osm.Area) -> list[list[np.ndarray]]:
     """Return the polygons that osmium assembled."""
     return [[known_nodes(ring) for ring in (outer, *area.inner_rings(outer))] for outer in area.outer_rings()]
 
 
-def read_buildings(path: Path) -> Buildings:
-    """Read the buildings of one extract: closed ways as they are, relations as osmium assembles them."""
+def read_buildings(path: Path, key: str = "building") -> Buildings:
+    """Read the buildings, or the parts, of one extract: closed ways as they are, relations as osmium assembles them."""
     relations: dict[int, list[tuple[int, str]]] = {}
     for relation in osmium.FileProcessor(path, RELATION):
-        if is_building(relation.tags) and relation.tags.get("type") == "multipolygon":
+        if is_building(relation.tags, key) and relation.tags.get("type") == "multipolygon":
             relations[relation.id] = [(member.ref, member.role) for member in relation.members if member.type == "w"]
     members = {ref for refs in relations.values() for ref, _ in refs}
 
     found = Buildings()
     member_nodes: dict[int, np.ndarray] = {}
     processor = (osmium.FileProcessor(path)
-                 .with_areas(osmium.filter.KeyFilter("building"))
+                 .with_areas(osmium.filter.KeyFilter(key))
                  .with_filter(osmium.filter.EntityFilter(WAY | AREA)))
     for item in processor:
         if item.is_way():
-            if item.id not in members and not is_building(item.tags):
+            if item.id not in members and not is_building(item.tags, key):
                 continue
             nodes = known_nodes(item.nodes)
             if item.id in members:
                 member_nodes[item.id] = nodes
-            if is_building(item.tags):
+            if is_building(item.tags, key):
                 ident = f"w{item.id}"
                 if not item.is_closed() or len(nodes) < len(item.nodes):
                     found.extents[ident] = nodes
                     found.unusable.add(ident)
                 elif len(nodes) >= 4:
-                    found.footprints[ident] = Footprint(
-                        ident, height_of(item.tags), is_elevated(item.tags), [[nodes]])
+                    found.footprints[ident] = footprint_of(ident, item.tags, key, [[nodes]])
         elif not item.from_way() and item.orig_id() in relations and (polygons := area_polygons(item)):
             ident = f"r{item.orig_id()}"
-            found.footprints[ident] = Footprint(ident, height_of(item.tags), is_elevated(item.tags), polygons)
+            found.footprints[ident] = footprint_of(ident, item.tags, key, polygons)
 
     for relation_id, refs in relations.items():
         ident = f"r{relation_id}"

@@ -1,0 +1,85 @@
+//! What `scenes` is asked for.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum, ValueHint};
+use holescout::config::{Config, Placement};
+
+use super::{OutputArgs, set};
+
+#[derive(Debug, Args)]
+pub(crate) struct ScenesArgs {
+    /// The OSM extracts (.osm.pbf) that the tiles were made from
+    #[arg(long, required = true, num_args = 1.., value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub(crate) osm: Vec<PathBuf>,
+    /// Output of `holescout rasterise`; its grid and its buildings are taken over
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub(crate) tiles: PathBuf,
+    /// Base-station sites, for --placement file (implied): CSV with the columns lon, lat (degrees)
+    /// and, if you like, height (metres over the ground, or over the roof if on a building),
+    /// on_building (true or false; by default whether a building is there) and name; exports of
+    /// OpenCellID with or without header. What would stand inside of a building is raised over its
+    /// roof: the higher one of mesh and height grid counts
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub(crate) sites: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) output: OutputArgs,
+    #[command(flatten)]
+    pub(super) scene: SceneFlags,
+}
+
+impl ScenesArgs {
+    pub(super) fn apply(&self, config: &mut Config) {
+        if self.sites.is_some() && self.scene.placement.is_none() {
+            config.scene.placement = Placement::File;
+        }
+        self.scene.apply(config);
+    }
+}
+
+/// A placement by name.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum PlacementName {
+    /// Over random cells of the height grid, on the ground or on what covers them
+    Any,
+    /// Over random cells that a building covers
+    Roof,
+    /// Where --sites says
+    File,
+}
+
+/// Flags for `[scene]`.
+#[derive(Debug, Args)]
+pub(super) struct SceneFlags {
+    /// scene.placement: where base stations stand
+    #[arg(long, value_enum, value_name = "NAME")]
+    placement: Option<PlacementName>,
+    /// scene.base_stations: random base stations in a scene
+    #[arg(long, value_name = "N")]
+    base_stations: Option<u32>,
+    /// scene.seed: of their places
+    #[arg(long, value_name = "N")]
+    scene_seed: Option<u64>,
+    /// scene.height_above_m: height of a base station over the ground or the roof, in metres
+    #[arg(long, value_name = "M")]
+    height_above: Option<f64>,
+    /// scene.map_size_m: side of the square to be traced, in metres [default: that of the tiles' window]
+    #[arg(long, value_name = "M")]
+    map_size: Option<u32>,
+}
+
+impl SceneFlags {
+    pub(super) fn apply(&self, config: &mut Config) {
+        let Config { scene, .. } = config;
+        let placement = self.placement.map(|name| match name {
+            PlacementName::Any => Placement::Any,
+            PlacementName::Roof => Placement::Roof,
+            PlacementName::File => Placement::File,
+        });
+        set(&mut scene.placement, placement.as_ref());
+        set(&mut scene.base_stations, self.base_stations.as_ref());
+        set(&mut scene.seed, self.scene_seed.as_ref());
+        set(&mut scene.height_above_m, self.height_above.as_ref());
+        scene.map_size_m = self.map_size.or(scene.map_size_m);
+    }
+}

@@ -1,0 +1,56 @@
+//! Is a scene that was written what its manifest says?
+
+use std::path::Path;
+
+use super::mesh::{Mesh, read_ply};
+use super::xml::{BUILDINGS, GROUND};
+use crate::manifest::{SceneEntry, SceneMeta};
+use crate::store::sha256_bytes;
+
+/// Reads a scene of a directory: digests, description, counts, and that the buildings are closed.
+///
+/// # Errors
+/// What is wrong, in words, the file first.
+pub fn check_scene(directory: &Path, entry: &SceneEntry) -> Result<(), String> {
+    let SceneMeta { id, base_stations, solids, triangles, .. } =
+        serde_json::from_slice(&file(directory, entry, "scene.json")?)
+            .map_err(|error| format!("scene.json: {error}"))?;
+    file(directory, entry, "scene.xml")?;
+    let buildings = mesh(directory, entry, BUILDINGS)?;
+    let ground = mesh(directory, entry, GROUND)?;
+    let found = (id, base_stations.len(), solids, triangles);
+    let expected = (entry.id, entry.base_stations as usize, entry.solids, entry.triangles);
+    demand(found == expected, || {
+        format!(
+            "scene.json: id, base stations, solids and triangles are {found:?}, the manifest says {expected:?}"
+        )
+    })?;
+    let count = buildings.triangles.len();
+    demand(count as u64 == triangles, || {
+        format!("{BUILDINGS}: {count} triangles, the manifest says {triangles}")
+    })?;
+    demand(buildings.is_closed(), || format!("{BUILDINGS}: the mesh is not closed"))?;
+    let floats = buildings.vertices.iter().chain(&ground.vertices).flatten();
+    demand(floats.copied().all(f32::is_finite), || "a vertex is not finite".to_owned())
+}
+
+fn mesh(directory: &Path, entry: &SceneEntry, name: &str) -> Result<Mesh, String> {
+    read_ply(&file(directory, entry, name)?).map_err(|error| format!("{name}: {error}"))
+}
+
+/// The content of one of a scene's files, as long as it is what the manifest says.
+fn file(directory: &Path, entry: &SceneEntry, name: &str) -> Result<Vec<u8>, String> {
+    let path = format!("{}/{name}", entry.id);
+    let listed = entry.files.iter().find(|listed| listed.file == path);
+    let listed = listed.ok_or_else(|| format!("{name}: not in the manifest"))?;
+    let bytes = std::fs::read(directory.join(&path)).map_err(|error| format!("{name}: {error}"))?;
+    let digest = sha256_bytes(&bytes);
+    demand(digest == listed.digest, || {
+        format!("{name}: is {digest}, the manifest says {}", listed.digest)
+    })?;
+    Ok(bytes)
+}
+
+fn demand(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), String> {
+    if holds { Ok(()) } else { Err(otherwise()) }
+}
