@@ -3,6 +3,7 @@
 #   make dataset                 the fixtures, into build/helsinki/dataset
 #   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
 #   make evaluate [SPLIT=val]    all methods on the dataset: OUT/evaluation/SPLIT/report.html
+#   make maps SCENES=dir MAPS=dir [TRACE_FLAGS=...]   radio maps of scenes, with Sionna RT
 #   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
 #   make test                    everything that needs no large data
 #   make test-real DATA=dir      against GDAL, PROJ and whole cities
@@ -29,13 +30,20 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 REAL := tests/real
 LIBTORCH := $(CURDIR)/.libtorch
+SIONNA := .venv-sionna
 TORCH := LIBTORCH=$(LIBTORCH)
+
+# A virtual environment; python3-venv is installed where that is possible without asking.
+venv = python3 -m venv $1 || { \
+	  [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
+	  apt-get update -qq && apt-get install -qqy --no-install-recommends python3-venv && \
+	  python3 -m venv $1; }
 
 RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,10s/^# *//p' Makefile
+	@sed -n '3,11s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
@@ -84,6 +92,12 @@ $(OUT)/.inputs: FORCE
 .PHONY: FORCE
 FORCE:
 
+# Radio maps of the scenes that `holescout scenes` made, traced with Sionna RT: on a GPU if there is one, else on the CPU.
+.PHONY: maps
+maps: llvm
+	@test -n '$(SCENES)' -a -n '$(MAPS)' || { echo "say which: make maps SCENES=dir MAPS=dir" >&2; exit 2; }
+	$(SIONNA)/bin/python pipeline/sionna_trace.py $(SCENES) --out $(MAPS) $(TRACE_FLAGS)
+
 ## Building ---------------------------------------------------------------------
 
 # Cargo knows its own graph, and leaves the file alone when nothing changed.
@@ -123,6 +137,22 @@ $(LIBTORCH)/.installed: pipeline/libtorch-requirements.txt | $(VENV)/.installed
 	  ln -s "$$(find ../wheels -name $$library | head -n 1)" $$library && test -e $$library; done
 	echo 'INPUT ( libtorch_cpu.so )' > $(LIBTORCH)/lib/libtorch.so
 	@touch $@
+
+# Sionna RT and all that it imports, 690 MB.
+$(SIONNA)/.installed: pipeline/sionna-requirements.txt
+	$(call venv,$(SIONNA))
+	$(SIONNA)/bin/pip install -q -r $<
+	@touch $@
+
+# What Sionna compiles its kernels with where there is no GPU; the program knows where to look for it.
+LIBLLVM := libllvm19
+.PHONY: llvm
+llvm: $(SIONNA)/.installed
+	@PYTHONPATH=pipeline $(SIONNA)/bin/python -c 'import sionna_trace; raise SystemExit(not sionna_trace.find_llvm())' \
+	  || command -v nvidia-smi >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -qqy --no-install-recommends $(LIBLLVM); \
+	  else echo "LLVM 19 is missing: install $(LIBLLVM), or set DRJIT_LIBLLVM_PATH to libLLVM.so of 19 or newer" >&2; exit 1; fi; }
 
 ## Checks -----------------------------------------------------------------------
 
@@ -176,6 +206,15 @@ test-report: dataset $(VENV)/.installed | browser
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset CHROMIUM=$(CHROMIUM) \
 	  $(PYTHON) -m pytest -q tests/report
 
+# Tracing with Sionna itself: geometry, maps, a killed run, and the way from OpenStreetMap to a dataset.
+.PHONY: test-sionna
+test-sionna: $(BIN) $(SIONNA)/.installed-tests | llvm
+	HOLESCOUT=$(abspath $(BIN)) $(SIONNA)/bin/python -m pytest -q tests/sionna
+
+$(SIONNA)/.installed-tests: tests/sionna/requirements.txt $(SIONNA)/.installed
+	$(SIONNA)/bin/pip install -q -r $<
+	@touch $@
+
 .PHONY: browser
 browser:
 	@test -x '$(CHROMIUM)' || { \
@@ -192,10 +231,7 @@ test-real: $(BIN) $(VENV)/.installed
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 
 $(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch))
-	python3 -m venv $(VENV) || { \
-	  [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
-	  apt-get update -qq && apt-get install -qqy --no-install-recommends python3-venv && \
-	  python3 -m venv $(VENV); }
+	$(call venv,$(VENV))
 	$(VENV)/bin/pip install -q $(addprefix -r ,$^)
 	@touch $@
 
@@ -225,4 +261,4 @@ bench-train: dataset $(LIBTORCH)/.installed | tools-torch
 
 .PHONY: clean
 clean:
-	rm -rf build target $(VENV) $(LIBTORCH)
+	rm -rf build target $(VENV) $(SIONNA) $(LIBTORCH)
