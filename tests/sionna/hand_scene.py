@@ -25,7 +25,6 @@ XML = """<scene version="2.1.0">
   </shape>
 </scene>
 """
-SIDE_M = 400.0
 Solid = tuple[np.ndarray, np.ndarray]
 
 # Nothing maps this pair onto itself: a long house in the north-east, a triangular one in the south-west.
@@ -60,10 +59,11 @@ def write_ply(path: Path, solid: Solid) -> None:
     path.write_bytes(header.encode() + vertices.astype("<f4").tobytes() + records.tobytes())
 
 
-def write_scene(folder: Path, base_stations: list[list[float]], solids: list[Solid] | None = None, xml: str = XML) -> Path:
-    """Writes a scene of 200 x 200 m in a square of 400 m; its id is the folder's name."""
+def write_scene(folder: Path, base_stations: list[list[float]], solids: list[Solid] | None = None, xml: str = XML,
+                side_m: float = 400.0) -> Path:
+    """Writes a scene whose map covers 200 x 200 m; its id is the folder's name."""
     folder.mkdir(parents=True)
-    half = SIDE_M / 2
+    half = side_m / 2
     ground = np.array([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)])
     write_ply(folder / "ground.ply", (ground, np.array([(0, 1, 2), (0, 2, 3)])))
     solids = [prism(*HOUSE), prism(*TRIANGLE)] if solids is None else solids
@@ -72,7 +72,7 @@ def write_scene(folder: Path, base_stations: list[list[float]], solids: list[Sol
     (folder / "scene.xml").write_text(xml)
     (folder / "scene.json").write_text(json.dumps({
         "schema": "scene.v1", "id": folder.name, "epsg": 32635, "center_m": [385920.0, 6672768.0],
-        "center_lon_lat": [24.944, 60.174], "side_m": SIDE_M, "cell_m": 1.0, "map_size_m": 200, "map_cell_m": 4.0,
+        "center_lon_lat": [24.944, 60.174], "side_m": side_m, "cell_m": 1.0, "map_size_m": 200, "map_cell_m": 4.0,
         "rx_height_m": 2.0,
         "base_stations": [{"position_m": position, "on_building": False, "name": None} for position in base_stations],
         "materials": {"buildings": "concrete", "ground": "medium_dry_ground"},

@@ -223,7 +223,7 @@ def test_from_openstreetmap_to_a_verified_dataset(tmp_path: Path) -> None:
     tiles, scenes, maps = tmp_path / "tiles", tmp_path / "scenes", tmp_path / "maps"
     holescout("rasterise", "--osm", EXTRACT, "--out", tiles)
     holescout("scenes", "--osm", EXTRACT, "--tiles", tiles, "--out", scenes)
-    ident = sorted(path.parent.name for path in scenes.glob("*/scene.json"))[0]
+    ident = min(path.parent.name for path in scenes.glob("*/scene.json"))
     trace(scenes, "--out", maps, "--only", ident, "--samples", "4e6")
     path_gain, meta = load(maps / f"{ident}.npz")
     assert path_gain.shape == (121, 121)
