@@ -144,7 +144,8 @@ def read_scene(folder: Path, options: Options) -> Scene:
         raise InvalidInput(f"scene.json: expected id {folder.name}, found {description['id']}; rename the folder")
     xml = folder / "scene.xml"
     materials = read_materials(xml)
-    declared = description["materials"]
+    # Where nothing is built Sionna must not be given an empty mesh.
+    declared = {name: kind for name, kind in description["materials"].items() if description["solids"] or name != "buildings"}
     if {name: material.split()[0] for name, material in materials.items() if material} != declared:
         raise InvalidInput(f"scene.xml: expected the materials {declared} of scene.json, found {materials}; "
                            "make the scene again with `holescout scenes`")

@@ -23,6 +23,7 @@ What was found in sionna-rt 2.2.0, and why it is called as it is:
 - Wedges are found by shared vertices. Scenes of Holescout share them within a building and never between two; therefore
   `remove_duplicate_vertices` stays off: it would weld buildings that touch, and edges where four faces meet diffract
   wrongly. A scene most of whose edges are open is refused, for it would be traced without diffraction; a few are told.
+- `merge_shapes` stays off as well: there is one mesh of a material already, and Sionna would rename what it merges.
 - Faces must be counter-clockwise seen from outside: turned round, single cells of a test scene changed by 42 dB.
 
 It does not judge whether a map is plausible: `holescout import-rsrp` does.
@@ -115,7 +116,7 @@ class Tracer:
         """
         from sionna.rt import Transmitter, load_scene
 
-        loaded = load_scene(str(scene.xml.resolve()))
+        loaded = load_scene(str(scene.xml.resolve()), merge_shapes=False)
         check_loaded(loaded, scene)
         loaded.frequency = scene.metadata["frequency_hz"]
         loaded.tx_array = self.array
@@ -161,15 +162,15 @@ def check_loaded(loaded: Any, scene: Scene) -> None:
     materials = {name: found.radio_material.itu_type for name, found in loaded.objects.items()}
     expected = {name: material.split()[0] for name, material in scene.metadata["materials"].items()}
     if materials != expected:
-        raise InvalidInput(f"scene.xml: expected the objects and materials {expected}, Sionna found {materials}; give each "
-                           "object a material of its own, else Sionna merges them")
+        raise InvalidInput(f"scene.xml: expected the objects and materials {expected}, Sionna found {materials}; make "
+                           "the scene again with `holescout scenes`")
     for position in scene.base_stations:
         above = loaded.mi_scene.ray_intersect(mitsuba.Ray3f(mitsuba.Point3f(position), mitsuba.Vector3f(0, 0, 1)))
         if above.is_valid()[0] and above.n.z[0] > 0:
             raise InvalidInput(f"scene.json: the base station at {position} stands within a building, {above.t[0]:.1f} m below "
                                "its roof; correct its position")
-    mesh = loaded.objects["buildings"].mi_mesh
-    if mesh.face_count():
+    if buildings := loaded.objects.get("buildings"):
+        mesh = buildings.mi_mesh
         opposite = mesh.opposite_dedge(drjit.arange(mitsuba.UInt, 3 * mesh.face_count())).numpy()
         if unpaired := int(np.count_nonzero(opposite == 0xFFFFFFFF)):
             told = f"buildings.ply: {unpaired} of {len(opposite)} edges have no opposite face, so that nothing diffracts there"

@@ -44,6 +44,7 @@ def prism(corners: list[tuple[float, float]], height_m: float) -> Solid:
 
 def join(solids: list[Solid]) -> Solid:
     """Solids in one mesh, none of them sharing a vertex with another."""
+    solids = [(np.zeros((0, 3)), np.zeros((0, 3), dtype=int)), *solids]
     offsets = np.cumsum([0] + [len(vertices) for vertices, _ in solids])
     return (np.vstack([vertices for vertices, _ in solids]),
             np.vstack([faces + offset for (_, faces), offset in zip(solids, offsets, strict=False)]))

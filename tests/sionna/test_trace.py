@@ -170,6 +170,15 @@ def test_a_killed_run_leaves_whole_maps_only(tmp_path: Path) -> None:
     assert sorted(path.name for path in maps.iterdir()) == ["a.npz", "b.npz", "c.npz"]
 
 
+def test_open_ground_is_traced(tmp_path: Path) -> None:
+    ground = re.sub(r'  <shape type="ply" id="mesh-buildings">.*?</shape>\n', "", XML, flags=re.DOTALL)
+    write_scene(tmp_path / "scenes/open", [STATION], [], ground)
+    trace(tmp_path / "scenes", "--out", tmp_path / "maps", *FEW)
+    path_gain, meta = load(tmp_path / "maps/open.npz")
+    assert (path_gain > 0).all()
+    assert meta["materials"] == {"ground": "medium_dry_ground"}
+
+
 def test_a_scene_that_fails_is_named_and_the_others_go_on(tmp_path: Path) -> None:
     scenes = tmp_path / "scenes"
     house, triangle = prism(*HOUSE), prism(*TRIANGLE)
