@@ -224,11 +224,12 @@ browser:
 
 # Fails, and does not pass, where the data are missing.
 .PHONY: test-real
-test-real: $(BIN) $(VENV)/.installed
+test-real: $(BIN) $(VENV)/.installed llvm
 	@test -d $(DATA)/osm -a -d $(DATA)/rsrp || { echo "no data in $(DATA): set DATA to the directory with osm/ and rsrp/" >&2; exit 1; }
 	cargo build --release --locked --example utm_points
 	$(PYTHON) fixtures/geometry/make_pbf.py --check
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python $(REAL)/sionna_scenes.py
 
 $(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch))
 	$(call venv,$(VENV))
@@ -244,6 +245,12 @@ bench: $(BIN) dataset $(VENV)/.installed
 	  $(PYTHON) benches/encode_vs_numpy.py
 	$(VENV)/bin/pip install -q -r benches/requirements.txt
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) benches/rasterise_vs_peers.py
+
+# Downsampling of radio maps against maps that were traced coarsely.
+.PHONY: bench-downsampling
+bench-downsampling: llvm
+	@test -n '$(SCENES)' -a -n '$(TILES)' || { echo "say which: make bench-downsampling SCENES=dir TILES='id id'" >&2; exit 2; }
+	$(SIONNA)/bin/python benches/downsampling.py $(SCENES) $(TILES)
 
 # Training against two programs in PyTorch, and where its time goes. TRAINED names a larger dataset than the fixtures.
 TRAINED ?= $(OUT)/dataset

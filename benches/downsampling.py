@@ -1,6 +1,6 @@
 """What downsampling of a radio map from 1 m to 4 m should do: compared with a map that was traced at 4 m.
 
-    make bench-downsampling SCENES=dir [TILES="id id"]
+    make bench-downsampling SCENES=dir TILES="id id"
 
 Each scene is traced three times with Sionna RT: at 4 m with N rays, and at 1 m with as many rays on a square metre (1.1 N, so that
 no ray is the same) and with as many in a cell (16 N). A second map at 4 m with 1.1 N rays shows how far two traces differ by

@@ -230,6 +230,23 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     return parsed
 
 
+def options_of(parsed: argparse.Namespace) -> Options:
+    """The parameters of tracing among the arguments."""
+    return Options(
+        cell_m=parsed.cell,
+        size_m=parsed.size,
+        samples=parsed.samples,
+        rays_per_cell=parsed.rays_per_cell,
+        max_samples=parsed.max_samples,
+        max_depth=parsed.max_depth,
+        frequency_hz=parsed.frequency,
+        tx_power_dbm=parsed.tx_power_dbm,
+        refraction=parsed.refraction,
+        diffraction=parsed.diffraction,
+        seed=parsed.seed,
+    )
+
+
 def say(text: str) -> None:
     """A line for people."""
     print(text, file=sys.stderr, flush=True)
@@ -285,12 +302,10 @@ def trace_all(todo: list[Scene], out: Path, variant: str | None) -> tuple[str | 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command and returns its exit status."""
     parsed = parse_arguments(arguments)
-    options = Options(parsed.cell, parsed.size, parsed.samples, parsed.rays_per_cell, parsed.max_samples, parsed.max_depth,
-                      parsed.frequency, parsed.tx_power_dbm, parsed.refraction, parsed.diffraction, parsed.seed)
     begin = time.monotonic()
     try:
         with locked(parsed.out):
-            todo, kept, failed = sort_out(parsed, options)
+            todo, kept, failed = sort_out(parsed, options_of(parsed))
             variant, failed_tracing = trace_all(todo, parsed.out, parsed.variant)
     except InvalidInput as error:
         say(f"error: {error}")

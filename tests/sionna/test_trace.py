@@ -4,6 +4,7 @@ Scenes are made by hand, but for the last test, which takes central Helsinki fro
 program that HOLESCOUT names. Run by `make test-sionna`. What is missing is an error, never a skipped test.
 """
 
+import fcntl
 import io
 import json
 import os
@@ -208,6 +209,10 @@ def test_wrong_input_ends_the_run_before_anything_is_traced(traced: Path, tmp_pa
     trace(scenes, "--out", maps, "--samples", "1e10", status=2)
     assert "no scene three" in trace(scenes, "--out", maps, "--only", "one", "three", status=3)
     assert "found none" in trace(maps, "--out", root / "other", status=3)
+    descriptor = os.open(maps, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    assert "another run writes to it" in trace(scenes, "--out", maps, *FEW, status=3)
+    os.close(descriptor)
     (scenes / ".holescout-build.jsonl").touch()
     assert "is not finished" in trace(scenes, "--out", maps, *FEW, status=3)
 
