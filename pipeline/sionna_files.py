@@ -161,9 +161,13 @@ def read_scene(folder: Path, options: Options) -> Scene:
     if not positions:
         raise InvalidInput("scene.json: expected a base station, found none; add one with `holescout scenes --sites`")
     for position in positions:
-        if position[2] <= rx_height_m or max(abs(position[0]), abs(position[1])) > description["side_m"] / 2:
-            raise InvalidInput(f"scene.json: expected base stations in the scene and above the receivers at {rx_height_m} m, "
-                               f"found one at {position}; correct its position")
+        if max(abs(position[0]), abs(position[1])) > description["side_m"] / 2:
+            raise InvalidInput(f"scene.json: the base station at {position} is outside of the scene of "
+                               f"{description['side_m']} m; correct its position")
+        # The solver counts rays that cross the plane of receivers: from within it there would be no line of sight.
+        if position[2] <= rx_height_m:
+            raise InvalidInput(f"scene.json: the base station at {position} is not above the receivers at {rx_height_m} m; "
+                               "put it higher, or on a roof")
     samples, note = choose_samples(options, rx_height_m, cell_m, size_m, positions)
     return Scene(folder.name, xml, {
         "schema": SCHEMA,

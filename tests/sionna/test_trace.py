@@ -188,6 +188,7 @@ def test_a_scene_that_fails_is_named_and_the_others_go_on(tmp_path: Path) -> Non
     write_scene(scenes / "inside", [[50.0, 50.0, 10.0]])
     write_scene(scenes / "soup", [STATION], [soup, triangle])
     write_scene(scenes / "low", [[0.0, 0.0, 1.0]])
+    write_scene(scenes / "far", [[0.0, 201.0, 20.0]])
     write_scene(scenes / "merged", [STATION], xml=XML.replace(
         '<ref name="bsdf" id="mat-itu_medium_dry_ground"/>', '<ref name="bsdf" id="mat-itu_concrete"/>'))
     write_scene(scenes / "torn", [STATION])
@@ -196,10 +197,10 @@ def test_a_scene_that_fails_is_named_and_the_others_go_on(tmp_path: Path) -> Non
     write_scene(scenes / "lost", [STATION])
     (scenes / "lost/buildings.ply").unlink()
     told = trace(scenes, "--out", tmp_path / "maps", *FEW, status=1)
-    for name, why in {"inside": "10.0 m below its roof", "soup": "36 of 60 edges have no", "low": "above the receivers",
+    for name, why in {"inside": "10.0 m below its roof", "soup": "36 of 60 edges have no", "low": "is not above the receivers at 2.0 m", "far": "outside of the scene",
                       "merged": "expected the materials", "torn": "RuntimeError", "lost": "FileNotFoundError"}.items():
         assert re.search(f"^{name} failed: .*({why})", told, re.MULTILINE), told
-    assert "1 maps traced, 0 kept, 6 scenes failed" in told
+    assert "1 maps traced, 0 kept, 7 scenes failed" in told
     assert [path.name for path in (tmp_path / "maps").iterdir()] == ["good.npz"]
 
 
@@ -236,7 +237,7 @@ def holescout(*arguments: object) -> dict[str, Any]:
 def test_from_openstreetmap_to_a_verified_dataset(tmp_path: Path) -> None:
     tiles, scenes, maps = tmp_path / "tiles", tmp_path / "scenes", tmp_path / "maps"
     holescout("rasterise", "--osm", EXTRACT, "--out", tiles)
-    holescout("scenes", "--osm", EXTRACT, "--tiles", tiles, "--out", scenes)
+    holescout("scenes", "--osm", EXTRACT, "--tiles", tiles, "--out", scenes, "--placement", "roof")
     ident = min(path.parent.name for path in scenes.glob("*/scene.json"))
     trace(scenes, "--out", maps, "--only", ident, "--samples", "4e6")
     path_gain, meta = load(maps / f"{ident}.npz")
