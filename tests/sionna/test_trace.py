@@ -238,7 +238,8 @@ def test_from_openstreetmap_to_a_verified_dataset(tmp_path: Path) -> None:
     tiles, scenes, maps = tmp_path / "tiles", tmp_path / "scenes", tmp_path / "maps"
     holescout("rasterise", "--osm", EXTRACT, "--out", tiles)
     holescout("scenes", "--osm", EXTRACT, "--tiles", tiles, "--out", scenes, "--placement", "roof")
-    ident = min(path.parent.name for path in scenes.glob("*/scene.json"))
+    descriptions = [json.loads(path.read_text()) for path in sorted(scenes.glob("*/scene.json"))]
+    ident = max(descriptions, key=lambda scene: scene["solids"])["id"]
     trace(scenes, "--out", maps, "--only", ident, "--samples", "4e6")
     path_gain, meta = load(maps / f"{ident}.npz")
     assert path_gain.shape == (121, 121)
