@@ -16,7 +16,10 @@ order of the hardware): what is published should be the file, not the command.
 What was found in sionna-rt 2.2.0, and why it is called as it is:
 
 - Base stations are traced one by one. In one call they would share a table of 10,000 diffracting wedges, and each would
-  diffract at the wedges that the others see.
+  spend samples on wedges that only the others see.
+- The table is a hash table that drops a wedge whose place is taken. Of 300 to 3,500 wedges that a base station saw in San Jose and
+  Manhattan 2 to 19 % were lost, and a larger table changed the mean by 0.1 to 0.5 dB, less than the noise of two traces. It is
+  left as Sionna has it, so that maps are those of Sionna.
 - Directions of rays are a Fibonacci lattice that depends on the number of samples alone; `seed` moves diffraction only. So
   runs with other seeds cannot be averaged into a better map. They need not: the solver is one fused loop, and 2e7 samples
   take no more memory than 1e5 (about 200 MB on a CPU).
