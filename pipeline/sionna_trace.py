@@ -20,9 +20,9 @@ What was found in sionna-rt 2.2.0, and why it is called as it is:
 - The table is a hash table that drops a wedge whose place is taken. Of 300 to 3,500 wedges that a base station saw in San Jose and
   Manhattan 2 to 19 % were lost, and a larger table changed the mean by 0.1 to 0.5 dB, less than the noise of two traces. It is
   left as Sionna has it, so that maps are those of Sionna.
-- Directions of rays are a Fibonacci lattice that depends on the number of samples alone; `seed` moves diffraction only. So
-  runs with other seeds cannot be averaged into a better map. They need not: the solver is one fused loop, and 2e7 samples
-  take no more memory than 1e5 (about 200 MB on a CPU).
+- Directions of rays are a Fibonacci lattice that depends on the number of samples alone; `seed` moves diffraction only (and, with
+  refraction, what is refracted and what reflected). So runs with other seeds cannot be averaged into a better map. They need
+  not: the solver is one fused loop, and 2e7 samples take no more memory than 1e5 (about 200 MB on a CPU).
 - Wedges are found by shared vertices. Scenes of Holescout share them within a building and never between two; therefore
   `remove_duplicate_vertices` stays off: it would weld buildings that touch, and edges where four faces meet diffract
   wrongly. A scene most of whose edges are open is refused, for it would be traced without diffraction; a few are told.
@@ -56,6 +56,7 @@ from sionna_files import (
     is_traced,
     locked,
     read_scene,
+    sionna_version,
     write_map,
 )
 
@@ -307,6 +308,7 @@ def main(arguments: list[str] | None = None) -> int:
     parsed = parse_arguments(arguments)
     begin = time.monotonic()
     try:
+        sionna_version()
         with locked(parsed.out):
             todo, kept, failed = sort_out(parsed, options_of(parsed))
             variant, failed_tracing = trace_all(todo, parsed.out, parsed.variant)

@@ -218,6 +218,15 @@ def test_wrong_input_ends_the_run_before_anything_is_traced(traced: Path, tmp_pa
     assert "is not finished" in trace(scenes, "--out", maps, *FEW, status=3)
 
 
+def test_another_version_of_sionna_is_refused(traced: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = tmp_path / "sionna_rt-2.1.0.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: sionna-rt\nVersion: 2.1.0\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    told = trace(traced / "scenes", "--out", tmp_path / "maps", status=3)
+    assert "expected sionna-rt 2.2.0, found 2.1.0" in told
+
+
 def test_the_last_line_is_for_machines(traced: Path) -> None:
     command = [sys.executable, TRACE, traced / "scenes", "--out", traced / "maps", *FEW, "--json"]
     last = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[-1]
