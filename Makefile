@@ -3,6 +3,7 @@
 #   make dataset                 the fixtures, into build/helsinki/dataset
 #   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
 #   make evaluate [SPLIT=val]    all methods on the dataset: OUT/evaluation/SPLIT/report.html
+#   make maps [TRACE_FLAGS=..]   scenes of the tiles, and their radio maps by Sionna RT: OUT/scenes, OUT/maps
 #   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
 #   make test                    everything that needs no large data
 #   make test-real DATA=dir      against GDAL, PROJ and whole cities
@@ -30,7 +31,14 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 REAL := tests/real
 LIBTORCH := $(CURDIR)/.libtorch
+SIONNA := .venv-sionna
 TORCH := LIBTORCH=$(LIBTORCH)
+
+# A virtual environment; python3-venv is installed where that is possible without asking.
+venv = python3 -m venv $1 || { \
+	  [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
+	  apt-get update -qq && apt-get install -qqy --no-install-recommends python3-venv && \
+	  python3 -m venv $1; }
 
 RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
@@ -85,6 +93,19 @@ $(OUT)/.inputs: FORCE
 .PHONY: FORCE
 FORCE:
 
+# Radio maps of the tiles' scenes, traced with Sionna RT: on a GPU if there is one, else on the CPU. Of the fixtures' 132 scenes
+# a few are traced; SCENES and MAPS name other directories.
+SCENES ?= $(OUT)/scenes
+MAPS ?= $(OUT)/maps
+TRACE_FLAGS ?= $(if $(filter $(FIXTURE)/%,$(OSM)),--limit 4)
+.PHONY: maps
+maps: $(if $(filter $(OUT)/scenes,$(SCENES)),$(SCENES)/manifest.json) llvm
+	$(SIONNA)/bin/python pipeline/sionna_trace.py $(SCENES) --out $(MAPS) $(TRACE_FLAGS)
+
+$(OUT)/scenes/manifest.json: $(OUT)/tiles/manifest.json
+	$(RUN) scenes --osm $(OSM) --tiles $(OUT)/tiles --out $(@D) --overwrite $(SCENE_FLAGS)
+	@touch $@
+
 ## Building ---------------------------------------------------------------------
 
 # Cargo knows its own graph, and leaves the file alone when nothing changed.
@@ -124,6 +145,22 @@ $(LIBTORCH)/.installed: pipeline/libtorch-requirements.txt | $(VENV)/.installed
 	  ln -s "$$(find ../wheels -name $$library | head -n 1)" $$library && test -e $$library; done
 	echo 'INPUT ( libtorch_cpu.so )' > $(LIBTORCH)/lib/libtorch.so
 	@touch $@
+
+# Sionna RT and all that it imports, 690 MB.
+$(SIONNA)/.installed: pipeline/sionna-requirements.txt
+	$(call venv,$(SIONNA))
+	$(SIONNA)/bin/pip install -q -r $<
+	@touch $@
+
+# What Sionna compiles its kernels with where there is no GPU; the program knows where to look for it.
+LIBLLVM := libllvm19
+.PHONY: llvm
+llvm: $(SIONNA)/.installed
+	@PYTHONPATH=pipeline $(SIONNA)/bin/python -c 'import sionna_trace; raise SystemExit(not sionna_trace.find_llvm())' \
+	  || command -v nvidia-smi >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -qqy --no-install-recommends $(LIBLLVM); \
+	  else echo "LLVM 19 is missing: install $(LIBLLVM), or set DRJIT_LIBLLVM_PATH to libLLVM.so of 19 or newer" >&2; exit 1; fi; }
 
 ## Checks -----------------------------------------------------------------------
 
@@ -178,6 +215,15 @@ test-report: dataset $(VENV)/.installed | browser
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset CHROMIUM=$(CHROMIUM) \
 	  $(PYTHON) -m pytest -q tests/report
 
+# Tracing with Sionna itself: geometry, maps, a killed run, and the way from OpenStreetMap to a dataset.
+.PHONY: test-sionna
+test-sionna: $(BIN) $(SIONNA)/.installed-tests | llvm
+	HOLESCOUT=$(abspath $(BIN)) $(SIONNA)/bin/python -m pytest -q tests/sionna
+
+$(SIONNA)/.installed-tests: tests/sionna/requirements.txt $(SIONNA)/.installed
+	$(SIONNA)/bin/pip install -q -r $<
+	@touch $@
+
 .PHONY: browser
 browser:
 	@test -x '$(CHROMIUM)' || { \
@@ -187,17 +233,15 @@ browser:
 
 # Fails, and does not pass, where the data are missing.
 .PHONY: test-real
-test-real: $(BIN) $(VENV)/.installed
+test-real: $(BIN) $(VENV)/.installed llvm
 	@test -d $(DATA)/osm -a -d $(DATA)/rsrp || { echo "no data in $(DATA): set DATA to the directory with osm/ and rsrp/" >&2; exit 1; }
 	cargo build --release --locked --example utm_points
 	$(PYTHON) fixtures/geometry/make_pbf.py --check
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python $(REAL)/sionna_scenes.py
 
 $(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch))
-	python3 -m venv $(VENV) || { \
-	  [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
-	  apt-get update -qq && apt-get install -qqy --no-install-recommends python3-venv && \
-	  python3 -m venv $(VENV); }
+	$(call venv,$(VENV))
 	$(VENV)/bin/pip install -q $(addprefix -r ,$^)
 	@touch $@
 
@@ -244,6 +288,12 @@ bench: $(BIN) dataset $(VENV)/.installed
 	$(VENV)/bin/pip install -q -r benches/requirements.txt
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) benches/rasterise_vs_peers.py
 
+# Downsampling of radio maps against maps that were traced coarsely.
+.PHONY: bench-downsampling
+bench-downsampling: llvm
+	@test -n '$(SCENES)' -a -n '$(TILES)' || { echo "say which: make bench-downsampling SCENES=dir TILES='id id'" >&2; exit 2; }
+	$(SIONNA)/bin/python benches/downsampling.py $(SCENES) $(TILES)
+
 # Training against two programs in PyTorch, and where its time goes. TRAINED names a larger dataset than the fixtures.
 TRAINED ?= $(OUT)/dataset
 TRAIN_BENCH := target/release/train_bench
@@ -260,4 +310,4 @@ bench-train: dataset $(LIBTORCH)/.installed | tools-torch
 
 .PHONY: clean
 clean:
-	rm -rf build target $(VENV) $(LIBTORCH)
+	rm -rf build target $(VENV) $(SIONNA) $(LIBTORCH)
