@@ -6,6 +6,9 @@
     reason = "helpers of tests fail by panicking; names of files are compared as they are"
 )]
 
+#[path = "common/pbf.rs"]
+#[allow(dead_code, reason = "only one of its functions is used here")]
+mod pbf;
 mod pipeline;
 
 use std::collections::HashMap;
@@ -166,6 +169,32 @@ fn hand_made_buildings_become_closed_meshes_of_their_volume() {
     }
     assert!(failures.is_empty(), "\n{}", failures.join("\n"));
     assert!(made > 20, "only {made} cases hold buildings");
+}
+
+/// A scene of the ground alone: the only buildings end below where they begin.
+#[test]
+fn a_tile_without_any_solid_has_a_scene_all_the_same() {
+    let dir = temporary_dir();
+    let osm = dir.path().join("floating.osm.pbf");
+    let edited = pbf::edited(&read(&fixture("geometry/closed_way.osm.pbf")), |block| {
+        let strings = &mut block.stringtable.mut_or_insert_default().s;
+        let key = u32::try_from(strings.len()).expect("a short table");
+        strings.extend([b"min_height".to_vec().into(), b"900".to_vec().into()]);
+        for way in block.primitivegroup.iter_mut().flat_map(|group| &mut group.ways) {
+            way.keys.push(key);
+            way.vals.push(key + 1);
+        }
+    });
+    write(&osm, edited);
+    let scene = scene_of_case(&osm, dir.path()).expect("tiles");
+    let buildings = ply(&read(&scene.join("buildings.ply")));
+    assert_eq!((buildings.vertices.len(), buildings.faces.len()), (0, 0));
+    let xml = String::from_utf8(read(&scene.join("scene.xml"))).expect("text");
+    assert!(xml.contains("ground.ply") && !xml.contains("buildings"), "{xml}");
+    let manifest = read_json(&dir.path().join("scenes/manifest.json"));
+    assert_eq!(manifest["left_out"]["no_height"], 2);
+    let station = &read_json(&scene.join("scene.json"))["base_stations"][0];
+    assert_eq!((&station["on_building"], &station["position_m"][2]), (&false.into(), &2.0.into()));
 }
 
 /// Where a mesh must reach, and how its faces look at the world.
