@@ -152,6 +152,9 @@ pub(crate) struct ImportArgs {
     /// Output of `holescout rasterise`
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub(crate) tiles: PathBuf,
+    /// Output of `holescout scenes`, for the transmitters of maps that do not tell them
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub(crate) scenes: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) output: OutputArgs,
     #[command(flatten)]

@@ -20,6 +20,7 @@ pub(crate) fn run(
     let job = ImportJob {
         maps: &args.maps,
         tiles: &args.tiles,
+        scenes: args.scenes.as_deref(),
         config,
         out: &args.output.out,
         overwrite: args.output.overwrite,

@@ -21,7 +21,7 @@ use pipeline::maps::{
     CROP, DROPPED_TILE, FLOOR, POWER_PER_RE, SITE, SUBCARRIERS, Window, good_values, metadata,
     physical, write_good, write_npz,
 };
-use pipeline::numpy::{Float, Layout, matrix, npy, npz_members};
+use pipeline::numpy::{Float, Layout, matrix, npy, npy_raw, npz, npz_members};
 use pipeline::{
     assert_says, import, read, read_json, run, sha256, temporary_dir, tree, verify, write,
 };
@@ -274,6 +274,124 @@ proptest! {
     fn any_way_of_writing_any_map_gives_the_same_rsrp(producer in producers(), seed: u64) {
         check_imports(&[(producer, seed)]);
     }
+}
+
+// Producers without metadata -------------------------------------------------------------
+
+/// What the people who traced a map know of it, whatever they wrote it with.
+fn known() -> Vec<String> {
+    let known = metadata(&SITE.ids[0], Window::Coarse);
+    let keys = [
+        "rx_height_m",
+        "tx_power_dbm",
+        "tx_power_is",
+        "frequency_hz",
+        "tx_pattern",
+        "sionna_version",
+        "samples_per_tx",
+        "max_depth",
+        "refraction",
+        "diffraction",
+        "cell_size_m",
+    ];
+    keys.iter().flat_map(|key| ["--assume".to_owned(), format!("{key}={}", known[*key])]).collect()
+}
+
+fn raw(values: &Array2<f64>) -> Vec<u8> {
+    values.iter().flat_map(|&value| (value as f32).to_le_bytes()).collect()
+}
+
+/// Imports one file by a preset; returns the manifest's entry, and compares with the sound map.
+fn by_preset(preset: &str, file: &str, bytes: &[u8], more: &[&str]) -> Value {
+    let dir = temporary_dir();
+    let (maps, out) = (dir.path().join("maps"), dir.path().join("rsrp"));
+    write(&maps.join(file), bytes);
+    let flags = ["--preset", preset];
+    run(import(&maps, &SITE.tiles, &out).args(flags).args(known()).args(more)).succeeds();
+    let manifest = read_json(&out.join("manifest.json"));
+    assert_eq!(
+        (&manifest["rejected"], &manifest["config"]["preset"]),
+        (&json!({}), &json!(preset))
+    );
+    let (sound, expected) = (dir.path().join("sound"), dir.path().join("expected"));
+    write_good(&sound.join("good.npz"), &SITE.ids[0]);
+    run(&mut import(&sound, &SITE.tiles, &expected)).succeeds();
+    let map = format!("{}.npz", SITE.ids[0]);
+    let arrays = |out: &Path| {
+        let mut members = npz_members(&out.join(&map));
+        (members.remove("rsrp_dbm"), members.remove("mask"))
+    };
+    assert_eq!(arrays(&out), arrays(&expected));
+    manifest["maps"][0].clone()
+}
+
+#[test]
+fn a_plain_script_around_sionna_needs_no_metadata_of_ours() {
+    let values = npy_raw("'<f4'", false, "(1, 121, 121)", &raw(&good_values(&SITE.ids[0])));
+    let bytes = npz(&[("path_gain", values)], zip::CompressionMethod::Stored);
+    let position = "tx_position_m=[10, -20, 80]";
+    let file = format!("{}.npz", SITE.ids[0]);
+    let entry = by_preset("sionna", &file, &bytes, &["--assume", position]);
+    let assumed: Vec<&str> =
+        entry["assumed"].as_array().expect("keys").iter().filter_map(Value::as_str).collect();
+    assert!(
+        ["crs", "location_id", "row_order", "tx_power_dbm"].iter().all(|key| assumed.contains(key))
+    );
+}
+
+/// North first, with values that mean "no path" in turns; the name goes on behind the tile's.
+#[test]
+fn maps_of_geo2sigmap_are_read() {
+    let mut values = good_values(&SITE.ids[0]);
+    values.invert_axis(Axis(0));
+    let nothing = [0.0, f64::NAN, f64::NEG_INFINITY];
+    let mut turn = 0..;
+    values
+        .mapv_inplace(|gain| if gain > 0.0 { gain } else { nothing[turn.next().unwrap_or(0) % 3] });
+    let bytes = npy_raw("'<f4'", false, "(121, 121)", &raw(&values));
+    let file = format!("{}_10_-20_80_271.npy", SITE.ids[0]);
+    by_preset("geo2sigmap", &file, &bytes, &["--assume", "tx_position_m=[10, -20, 80]"]);
+}
+
+/// Transmitters are told from the south-west corner, coordinates first; refused if several give
+/// one map together, or one value for each face of a mesh.
+#[test]
+fn maps_of_sionna_large_radio_maps_are_read() {
+    let file = format!("{}.npz", SITE.ids[0]);
+    let archive = |shape: &str, positions: &[f32]| {
+        let values = npy_raw("'<f4'", false, shape, &raw(&good_values(&SITE.ids[0])));
+        let bytes: Vec<u8> = positions.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let positions = npy_raw("'<f4'", false, &format!("(3, {})", positions.len() / 3), &bytes);
+        npz(&[("rm", values), ("tx_positions", positions)], zip::CompressionMethod::Stored)
+    };
+    by_preset("large-radio-maps", &file, &archive("(121, 121)", &[252.0, 222.0, 80.0]), &[]);
+
+    let several = archive("(121, 121)", &[252.0, 9.0, 222.0, 9.0, 80.0, 9.0]);
+    let faces = archive("(14641,)", &[252.0, 222.0, 80.0]);
+    for (bytes, code, word) in
+        [(several, "several_transmitters", "together"), (faces, "wrong_shape", "mesh")]
+    {
+        let dir = temporary_dir();
+        let (maps, out) = (dir.path().join("maps"), dir.path().join("rsrp"));
+        write(&maps.join(&file), bytes);
+        let map_size = ["--assume", "map_size_m=484", "--preset", "large-radio-maps"];
+        run(import(&maps, &SITE.tiles, &out).args(map_size).args(known())).succeeds();
+        let rejected = String::from_utf8(read(&out.join("rejected.csv"))).expect("text");
+        assert_says(&rejected, &[code, word]);
+    }
+}
+
+#[test]
+fn what_nobody_told_is_still_missing() {
+    let dir = temporary_dir();
+    let (maps, out) = (dir.path().join("maps"), dir.path().join("rsrp"));
+    let bytes = npy_raw("'<f4'", false, "(121, 121)", &raw(&good_values(&SITE.ids[0])));
+    write(&maps.join(format!("{}.npy", SITE.ids[0])), bytes);
+    run(import(&maps, &SITE.tiles, &out).args(["--preset", "geo2sigmap"])).succeeds();
+    let rejected = String::from_utf8(read(&out.join("rejected.csv"))).expect("text");
+    assert_says(&rejected, &["missing_metadata", "tx_position_m", "frequency_hz", "rsrp.assume"]);
+    let message = run(import(&maps, &SITE.tiles, &out).args(["--assume", "power=15"])).refused();
+    assert_says(&message, &["rsrp.assume", "power", "tx_power_dbm"]);
 }
 
 // What ends a whole import ---------------------------------------------------------------

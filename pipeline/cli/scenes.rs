@@ -19,7 +19,8 @@ pub(crate) struct ScenesArgs {
     /// and, if you like, height (metres over the ground, or over the roof if on a building),
     /// on_building (true or false; by default whether a building is there) and name; exports of
     /// OpenCellID with or without header. What would stand inside of a building is raised over its
-    /// roof: the higher one of mesh and height grid counts
+    /// roof (the higher one of mesh and height grid counts), what would stand no higher than the
+    /// receivers to --ground-height
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) sites: Option<PathBuf>,
     #[command(flatten)]
@@ -60,9 +61,12 @@ pub(super) struct SceneFlags {
     /// scene.seed: of their places
     #[arg(long, value_name = "N")]
     scene_seed: Option<u64>,
-    /// scene.height_above_m: height of a base station over the ground or the roof, in metres
+    /// scene.height_above_m: height of a base station over its roof, in metres
     #[arg(long, value_name = "M")]
     height_above: Option<f64>,
+    /// scene.ground_height_m: height of a base station on open ground, in metres
+    #[arg(long, value_name = "M")]
+    ground_height: Option<f64>,
     /// scene.map_size_m: side of the square to be traced, in metres [default: that of the tiles' window]
     #[arg(long, value_name = "M")]
     map_size: Option<u32>,
@@ -80,6 +84,7 @@ impl SceneFlags {
         set(&mut scene.base_stations, self.base_stations.as_ref());
         set(&mut scene.seed, self.scene_seed.as_ref());
         set(&mut scene.height_above_m, self.height_above.as_ref());
+        set(&mut scene.ground_height_m, self.ground_height.as_ref());
         scene.map_size_m = self.map_size.or(scene.map_size_m);
     }
 }

@@ -74,9 +74,13 @@ pub struct SceneConfig {
     /// Seed of random places. The i-th base station of a tile depends on the seed, the tile and
     /// i alone.
     pub seed: u64,
-    /// Height of a base station over what it stands on, in metres, where a file of sites does not
-    /// tell.
+    /// Height of a base station over the roof that it stands on, in metres, where a file of sites
+    /// does not tell.
     pub height_above_m: f64,
+    /// Height of a base station on open ground, in metres, where a file of sites does not tell. It
+    /// must stand above the receivers: a solver counts rays that cross their plane, and from within
+    /// the plane no direct one does.
+    pub ground_height_m: f64,
     /// Side of the square around a tile's centre that is to be traced and that base stations
     /// stand in, in metres; by default `grid.crop_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -94,6 +98,7 @@ impl Default for SceneConfig {
             base_stations: 1,
             seed: 0,
             height_above_m: 2.0,
+            ground_height_m: 10.0,
             map_size_m: None,
             building_material: Material::Concrete,
             ground_material: Material::MediumDryGround,
@@ -114,7 +119,24 @@ impl SceneConfig {
             "scene.height_above_m",
             self.height_above_m,
             "more than 0 m and at most 1000 m",
+        )?;
+        demand(
+            self.ground_height_m > 0.0 && self.ground_height_m <= 1000.0,
+            "scene.ground_height_m",
+            self.ground_height_m,
+            "more than 0 m and at most 1000 m",
         )
+    }
+
+    /// Whether base stations on open ground stand above receivers at the flight height of tiles.
+    ///
+    /// # Errors
+    /// [`ConfigError`] if not.
+    pub fn check_ground_height(&self, flight_height_m: f64) -> Result<(), ConfigError> {
+        let expected =
+            format!("more than buildings.flight_height_m = {flight_height_m} of the tiles");
+        let height = self.ground_height_m;
+        demand(height > flight_height_m, "scene.ground_height_m", height, expected)
     }
 
     /// Side of the square that is to be traced, in metres, on tiles of a grid whose maps have

@@ -63,7 +63,8 @@ pub struct SitesInput {
     /// Base stations left out since another of the scene stands at the same place: the cells of
     /// one mast.
     pub repeated: u64,
-    /// Base stations that would have stood inside of a building and were raised over its roof.
+    /// Base stations that would have stood inside of a building and were raised over its roof, or
+    /// no higher than the receivers and were raised to `scene.ground_height_m`.
     pub raised: u64,
 }
 

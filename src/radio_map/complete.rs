@@ -5,9 +5,12 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use super::load::unreadable;
 use super::metadata::{Object, is_given};
+use super::rejection::{Rejection, RejectionCode};
 use crate::config::Preset;
 use crate::grid::TileId;
+use crate::manifest::SceneMeta;
 
 /// What is put where metadata have no value. What is written always counts more.
 #[derive(Debug, Clone, Copy, Default)]
@@ -34,7 +37,8 @@ pub(super) struct ArrayFacts {
 impl Supplement<'_> {
     /// Whether anything is to be added at all. Without, metadata are complete or rejected.
     pub(super) fn is_active(&self) -> bool {
-        self.preset.is_some() || self.assume.is_some_and(|assume| !assume.is_empty())
+        let assumes = self.assume.is_some_and(|assume| !assume.is_empty());
+        assumes || self.preset.is_some() || self.scene.is_some()
     }
 
     /// Adds what is missing, and returns the keys that were added, sorted.
@@ -107,6 +111,30 @@ fn habits(preset: Preset, facts: &ArrayFacts) -> Vec<(&'static str, Value)> {
             ("no_path_value", json!(0.0)),
         ],
     }
+}
+
+/// What the scene that a map was traced from tells of it: who transmits from where, and at which
+/// height it is received. `None` if no scene has the name of the map's tile.
+pub(super) fn scene_facts(scenes: &Path, map: &Path) -> Result<Option<Object>, Rejection> {
+    let Some(tile) = tile_in_name(map) else { return Ok(None) };
+    let path = scenes.join(tile.to_string()).join("scene.json");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&path).map_err(|error| unreadable(&error))?;
+    let scene: SceneMeta = serde_json::from_slice(&text).map_err(|error| {
+        let found = format!("{}: {error}", path.display());
+        let mend = "make the scenes again with `holescout scenes`";
+        Rejection::new(RejectionCode::InvalidMetadata, "a scene (scene.v1)", found, mend)
+    })?;
+    let positions: Vec<[f64; 3]> =
+        scene.base_stations.iter().map(|station| station.position_m).collect();
+    let position = match positions[..] {
+        [position] => json!(position),
+        _ => json!(positions),
+    };
+    let facts = [("tx_position_m", position), ("rx_height_m", json!(scene.rx_height_m))];
+    Ok(Some(facts.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()))
 }
 
 /// The tile that a file is named after: `<tile>.npy`, or `<tile>_<anything>.npy`.

@@ -30,6 +30,8 @@ const NEIGHBOURS: u64 = 2;
 pub(super) struct Context<'a> {
     /// Directory of the tiles.
     pub(super) tiles: &'a Path,
+    /// Directory of the scenes that the maps were traced from, if told.
+    pub(super) scenes: Option<&'a Path>,
     pub(super) manifest: &'a TilesManifest,
     pub(super) by_id: BTreeMap<TileId, &'a TileEntry>,
     pub(super) dropped: BTreeMap<TileId, Verdict>,

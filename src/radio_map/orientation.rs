@@ -12,7 +12,7 @@
 //!
 //! Where refraction fills the buildings, the level in dB takes the place of "no path".
 
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2, Zip, s};
 
 use super::metadata::RowOrder;
 use super::rejection::{Rejection, RejectionCode};
@@ -99,14 +99,17 @@ impl Sums {
         outdoor: ArrayView2<'_, bool>,
     ) -> Self {
         let mut sums = Self::default();
-        for ((&value, &is_building), &is_outdoor) in darkness.iter().zip(building).zip(outdoor) {
-            if (is_building || is_outdoor) && !value.is_nan() {
-                let class = usize::from(is_outdoor);
-                sums.count[class] += 1.0;
-                sums.sum[class] += value;
-                sums.squares += value * value;
+        // Without branches: this runs 57 times for each cell of a map.
+        Zip::from(darkness).and(building).and(outdoor).for_each(|&value, &indoors, &open| {
+            let known = !value.is_nan();
+            let value = if known { value } else { 0.0 };
+            let weights = [indoors, open].map(|is| f64::from(u8::from(is & known)));
+            for (class, weight) in weights.into_iter().enumerate() {
+                sums.count[class] += weight;
+                sums.sum[class] += weight * value;
             }
-        }
+            sums.squares += (weights[0] + weights[1]) * value * value;
+        });
         sums
     }
 
@@ -168,7 +171,7 @@ impl Placement {
             let darkness = window.reached.mapv(|reached| f64::from(u8::from(!reached)));
             Self { darkness, evidence: Evidence::NoPath, row_order }
         } else {
-            let darkness = ndarray::Zip::from(&window.values)
+            let darkness = Zip::from(&window.values)
                 .and(&window.reached)
                 .map_collect(|&value, &reached| if reached { -level(value) } else { f64::NAN });
             Self { darkness, evidence: Evidence::Level, row_order }

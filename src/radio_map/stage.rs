@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::complete::Supplement;
+use super::complete::{Supplement, scene_facts};
 use super::examine::{Context, Examined, Refusal, SourceFile, examine};
 use super::load::{Described, list, load_metadata, unreadable};
 use super::metadata::RadioMapMetadata;
@@ -15,8 +15,8 @@ use crate::config::Config;
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
-    ManifestError, MapEntry, RsrpManifest, StageFileError, TileEntry, TilesManifest, dropped_tiles,
-    fingerprint, load, to_json,
+    ManifestError, MapEntry, RsrpManifest, ScenesManifest, StageFileError, TileEntry,
+    TilesManifest, dropped_tiles, fingerprint, load, to_json,
 };
 use crate::progress::Progress;
 use crate::store::{Digest, OutputDir, OutputError, sha256_file};
@@ -69,6 +69,9 @@ pub struct ImportJob<'a> {
     pub maps: &'a Path,
     /// Output of `rasterise`.
     pub tiles: &'a Path,
+    /// Output of `scenes` that the maps were traced from, where they do not tell their
+    /// transmitters themselves.
+    pub scenes: Option<&'a Path>,
     /// The configuration; `[rsrp]` and the cell size of `[shard]` are used.
     pub config: &'a Config,
     /// The directory to fill.
@@ -97,6 +100,10 @@ pub fn import_maps(
 ) -> Result<RsrpManifest, ImportError> {
     let (manifest, tiles_digest) =
         load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
+    let scenes = job
+        .scenes
+        .map(|scenes| load::<ScenesManifest>(scenes, "scenes", ScenesManifest::SCHEMA))
+        .transpose()?;
     let (paths, ignored) = list(job.maps).map_err(FileError::new("list", job.maps))?;
     if paths.is_empty() {
         return Err(ImportError::NoMaps { directory: job.maps.to_owned() });
@@ -115,11 +122,13 @@ pub fn import_maps(
         &tiles_digest,
         &inputs,
         &ignored,
+        scenes.map(|(_, digest)| digest),
     ));
     let output = OutputDir::begin(job.out, "rsrp", &fingerprint, job.overwrite)?;
 
     let context = Context {
         tiles: job.tiles,
+        scenes: job.scenes,
         manifest: &manifest,
         by_id: manifest.tiles.iter().map(|entry| (entry.id, entry)).collect(),
         dropped: dropped_tiles(job.tiles)?,
@@ -150,13 +159,18 @@ fn import_all(
     progress: &dyn Progress,
 ) -> Result<Vec<Outcome>, ImportError> {
     progress.begin("reading metadata", Some(sources.len() as u64));
-    let supplement =
-        Supplement { preset: context.rsrp.preset, assume: Some(&context.rsrp.assume), scene: None };
     let described: Vec<Result<Described, Rejection>> = sources
         .par_iter()
         .map(|source| {
             progress.advance(1);
             source.digest.as_ref().map_err(Clone::clone)?;
+            let scene = context.scenes.map(|scenes| scene_facts(scenes, &source.path));
+            let scene = scene.transpose()?.flatten();
+            let supplement = Supplement {
+                preset: context.rsrp.preset,
+                assume: Some(&context.rsrp.assume),
+                scene: scene.as_ref(),
+            };
             load_metadata(&source.path, context.limit, &supplement)
         })
         .collect();

@@ -63,7 +63,7 @@ impl<'a> Square<'a> {
             let cell = cells[Random::keyed(&key).below(cells.len())];
             let place = self.center_of(cell);
             let roof = self.roof(place);
-            let z = roof.unwrap_or(0.0) + config.height_above_m;
+            let z = roof.map_or(config.ground_height_m, |roof| roof + config.height_above_m);
             self.station(place, z, roof.is_some(), None)
         };
         (0..config.base_stations).map(station).collect()
@@ -71,26 +71,30 @@ impl<'a> Square<'a> {
 
     /// The sites of a file (places in metres of the projection), in their order. Nothing stands
     /// inside of a building: where the mesh or the grid says that a site would, it is raised over
-    /// the roof.
+    /// the roof. Nor does one stand at the receivers' height or below it: it is raised to where
+    /// others on the ground stand.
     pub(super) fn of_sites<'s>(
         &self,
         sites: impl IntoIterator<Item = &'s ([f64; 2], Site)>,
-        height_above_m: f64,
+        config: &SceneConfig,
+        rx_height_m: f64,
     ) -> Placed {
         let mut placed = Placed::default();
         let mut taken = BTreeSet::new();
         for (place, site) in sites {
             let roof = self.roof(*place);
-            let height = site.height_m.unwrap_or(height_above_m);
+            let over_roof = site.height_m.unwrap_or(config.height_above_m);
+            let told = site.height_m.unwrap_or(config.ground_height_m);
+            let height = if told > rx_height_m { told } else { config.ground_height_m };
             let wanted = site.on_building.unwrap_or(true);
-            let (z, on_building) = match roof {
-                Some(roof) if wanted => (roof + height, true),
+            let (z, on_building, raised) = match roof {
+                Some(roof) if wanted => (roof + over_roof, true, false),
                 Some(roof) if self.is_inside(*place, height) => {
-                    placed.raised += 1;
-                    (roof + height_above_m, true)
+                    (roof + config.height_above_m, true, true)
                 }
-                _ => (height, false),
+                _ => (height, false, height > told),
             };
+            placed.raised += u64::from(raised);
             let station = self.station(*place, z, on_building, site.name.clone());
             if taken.insert(station.position_m.map(f64::to_bits)) {
                 placed.stations.push(station);
@@ -270,16 +274,19 @@ mod tests {
             (site(7.4, 7.3, Some(20.0), Some(true)), [29.5, 1.0], "over the roof"),
             (site(7.5, 7.3, Some(30.0), Some(false)), [30.0, 0.0], "a mast through the house"),
             (site(7.6, 7.3, Some(5.0), Some(false)), [11.5, 1.0], "inside: raised"),
-            (site(-10.2, -10.0, None, Some(false)), [2.0, 0.0], "under the canopy"),
+            (site(-10.2, -10.0, Some(3.0), Some(false)), [3.0, 0.0], "under the canopy"),
             (site(-10.3, -10.0, Some(5.5), Some(false)), [8.0, 1.0], "in the canopy: raised"),
             (site(-10.4, -10.0, None, None), [8.0, 1.0], "on the canopy"),
             (site(18.0, -18.0, Some(25.0), Some(true)), [25.0, 0.0], "no building there"),
-            (site(18.0, -18.5, None, None), [2.0, 0.0], "on the ground"),
+            (site(18.0, -18.5, None, None), [10.0, 0.0], "on the ground"),
+            (site(18.0, -18.6, Some(2.0), None), [10.0, 0.0], "at the receivers' height: raised"),
         ];
         let mut sites: Vec<_> = cases.iter().map(|(site, ..)| site.clone()).collect();
         sites.push(sites[0].clone());
-        let placed = with_square(&buildings(), tile(), |square| square.of_sites(&sites, 2.0));
-        assert_eq!((placed.repeated, placed.raised, placed.stations.len()), (1, 2, cases.len()));
+        let placed = with_square(&buildings(), tile(), |square| {
+            square.of_sites(&sites, &SceneConfig::default(), 2.0)
+        });
+        assert_eq!((placed.repeated, placed.raised, placed.stations.len()), (1, 3, cases.len()));
         for (station, (_, [z, on_building], why)) in placed.stations.iter().zip(cases) {
             assert_eq!(
                 (station.position_m[2], station.on_building),

@@ -165,6 +165,7 @@ pub fn build_scenes(
     };
     let map_cell_m = job.config.shard.cell_m(&config.grid);
     let map_size_m = config.scene.map_size_m(&config.grid, map_cell_m)?;
+    config.scene.check_ground_height(config.buildings.flight_height_m)?;
     let osm = in_order_of(&tiles, job.osm)?;
     let mut sites_input = sites_input(job)?;
     let sites_digest = sites_input.as_ref().map(|input| &input.digest);
@@ -324,7 +325,7 @@ fn build_scene(
         Placement::File => {
             let bounds = id.square(context.map_size_m.into());
             let here = context.sites.iter().filter(|(place, _)| holds(&bounds, *place));
-            square.of_sites(here, scene.height_above_m)
+            square.of_sites(here, scene, context.config.buildings.flight_height_m)
         }
         Placement::Any | Placement::Roof => {
             Placed { stations: square.random(scene), ..Placed::default() }
