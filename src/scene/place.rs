@@ -227,7 +227,7 @@ mod tests {
             } else if canopy {
                 8.0
             } else {
-                2.0
+                10.0
             };
             assert_eq!((*z, *on_building), (wanted, house || canopy), "{x}, {y}");
             assert_eq!(*name, None);
