@@ -179,7 +179,7 @@ fn a_tile_without_any_solid_has_a_scene_all_the_same() {
     let edited = pbf::edited(&read(&fixture("geometry/closed_way.osm.pbf")), |block| {
         let strings = &mut block.stringtable.mut_or_insert_default().s;
         let key = u32::try_from(strings.len()).expect("a short table");
-        strings.extend([b"min_height".to_vec().into(), b"900".to_vec().into()]);
+        strings.extend([b"min_height".to_vec(), b"900".to_vec()]);
         for way in block.primitivegroup.iter_mut().flat_map(|group| &mut group.ways) {
             way.keys.push(key);
             way.vals.push(key + 1);
