@@ -435,6 +435,7 @@ const CASES: &[(&str, Spoil, &[&str])] = &[
             let tile = &SITE.ids[1];
             let (east, north, height) = tagged_roof(tile);
             bad.metadata = metadata(tile, Window::Coarse);
+            bad.values = f4(&pipeline::maps::good_values(tile));
             bad.set("tx_position_m", json!([east, north, height - 1.5]));
         }),
         &["1.5 m below the roof", "tx_position_m"],

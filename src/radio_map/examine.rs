@@ -138,14 +138,13 @@ pub(super) fn examine(
         other.unwrap_or(rejection)
     })?;
     let mut warnings = Vec::new();
-    let roof = |x: f64, y: f64| roof(&tile, grid.cell_m, x, y);
-    warnings.extend(check::transmitter(position, metadata.map_size_m, roof)?);
-
     // The place comes before the levels: a map that is turned has its strong cells elsewhere.
     let level = |value: f64| to_rsrp(value, map.kind, metadata).0;
-    let placement = Placement::new(&window, &surroundings, metadata.row_order, level);
+    let placement = Placement::new(&window, &surroundings, metadata, level);
     let placed = placement.check(&surroundings, || context.nearby(entry.id, &geometry))?;
     warnings.extend(placed.warning);
+    let roof = |x: f64, y: f64| roof(&tile, grid.cell_m, x, y);
+    warnings.extend(check::transmitter(position, metadata.map_size_m, roof)?);
     let excess_db = levels.check(map.kind)?;
     warnings.extend(Comparison::warning(excess_db));
     let rays =

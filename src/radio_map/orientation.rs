@@ -14,7 +14,7 @@
 
 use ndarray::{Array2, ArrayView2, Zip, s};
 
-use super::metadata::RowOrder;
+use super::metadata::{RadioMapMetadata, RowOrder};
 use super::rejection::{Rejection, RejectionCode};
 use super::window::{Surroundings, Window};
 use crate::grid::TileId;
@@ -37,7 +37,7 @@ const MARGIN_SHIFT: f64 = 0.005;
 const MARGIN_TILE: f64 = 0.1;
 /// A smaller lead of the declared way over all flips is worth a warning.
 const CLEAR_LEAD: f64 = 0.05;
-/// Where fewer cells are without path than this share of the built ones, paths go through walls.
+/// Where fewer cells are without path than this share of the built ones, refraction filled them.
 const MOST_FILLED: f64 = 0.5;
 /// With a larger share of unreached outdoor cells there is too little to decide by.
 const MOST_UNREACHED: f64 = 0.9;
@@ -98,19 +98,21 @@ impl Sums {
         building: ArrayView2<'_, bool>,
         outdoor: ArrayView2<'_, bool>,
     ) -> Self {
-        let mut sums = Self::default();
-        // Without branches: this runs 57 times for each cell of a map.
+        // Without branches or arrays: this runs 57 times for each cell of a map.
+        let (mut count_b, mut count_o, mut sum_b, mut sum_o, mut squares) =
+            (0.0, 0.0, 0.0, 0.0, 0.0);
         Zip::from(darkness).and(building).and(outdoor).for_each(|&value, &indoors, &open| {
             let known = !value.is_nan();
             let value = if known { value } else { 0.0 };
-            let weights = [indoors, open].map(|is| f64::from(u8::from(is & known)));
-            for (class, weight) in weights.into_iter().enumerate() {
-                sums.count[class] += weight;
-                sums.sum[class] += weight * value;
-            }
-            sums.squares += (weights[0] + weights[1]) * value * value;
+            let weight = |is: bool| f64::from(u8::from(is & known));
+            let (b, o) = (weight(indoors), weight(open));
+            count_b += b;
+            count_o += o;
+            sum_b += b * value;
+            sum_o += o * value;
+            squares += (b + o) * value * value;
         });
-        sums
+        Self { count: [count_b, count_o], sum: [sum_b, sum_o], squares }
     }
 
     /// Mean darkness of buildings and of the outdoors.
@@ -161,13 +163,14 @@ impl Placement {
     pub(super) fn new(
         window: &Window,
         surroundings: &Surroundings,
-        row_order: RowOrder,
+        metadata: &RadioMapMetadata,
         level: impl Fn(f64) -> f64,
     ) -> Self {
+        let RadioMapMetadata { row_order, refraction, .. } = *metadata;
         let count = |grid: &Array2<bool>| grid.iter().filter(|&&is| is).count() as f64;
         let unreached = window.reached.len() as f64 - count(&window.reached);
         // Counted over all cells, however they lie.
-        if unreached >= MOST_FILLED * count(&surroundings.building) {
+        if !refraction || unreached >= MOST_FILLED * count(&surroundings.building) {
             let darkness = window.reached.mapv(|reached| f64::from(u8::from(!reached)));
             Self { darkness, evidence: Evidence::NoPath, row_order }
         } else {
@@ -184,12 +187,12 @@ impl Placement {
     }
 
     /// With the map moved by rows and columns, on the cells that all shifts have in common.
-    fn shifted(&self, surroundings: &Surroundings, rows: usize, columns: usize) -> f64 {
+    fn shifted(&self, surroundings: &Surroundings, [rows, columns]: [usize; 2]) -> Sums {
         let inner = self.darkness.nrows() - 2 * REACH;
         let moved = self.darkness.slice(s![rows..rows + inner, columns..columns + inner]);
         let common = s![REACH..REACH + inner, REACH..REACH + inner];
         let Surroundings { building, outdoor } = surroundings;
-        Sums::new(moved, building.slice(common), outdoor.slice(common)).correlation()
+        Sums::new(moved, building.slice(common), outdoor.slice(common))
     }
 
     /// Rejects a map that lies another way than declared. `elsewhere` gives the buildings of
@@ -200,37 +203,51 @@ impl Placement {
         elsewhere: impl Fn() -> Result<Vec<(TileId, Surroundings)>, E>,
     ) -> Result<Verdict, E> {
         let declared = self.sums(surroundings, Flip::default());
-        let correlation = declared.correlation();
-        let flips = |&flip: &Flip| self.sums(surroundings, flip).correlation();
-        let (flip, flipped) = best(Flip::others(), flips);
-        let lead = correlation - flipped;
-        let by_path = self.evidence == Evidence::NoPath;
+        let flips = Flip::others().map(|flip| (flip, self.sums(surroundings, flip)));
+        let (flip, flipped) = best(flips);
+        let lead = declared.correlation() - flipped.correlation();
         let score = OrientationScore {
             evidence: self.evidence,
-            correlation: rounded(correlation),
-            agreement: by_path.then(|| rounded(declared.agreement())),
+            correlation: rounded(declared.correlation()),
+            agreement: self.agreement(&declared).map(rounded),
             lead: rounded(lead),
         };
         let [_, unreached] = declared.means();
-        if !declared.is_enough() || (by_path && unreached > MOST_UNREACHED) {
+        let hidden = self.evidence == Evidence::NoPath && unreached > MOST_UNREACHED;
+        if !declared.is_enough() || hidden {
             let text = "too few cells are reached, or too few built, to tell its orientation";
             let warning = MapWarning::new(WarningCode::OrientationUntold, text);
             return Ok(Verdict { score, warning: Some(warning) });
         }
-        let agreement = score.agreement.unwrap_or(f64::INFINITY);
-        if agreement < DOUBTFUL_AGREEMENT {
-            let tiles = elsewhere()?;
-            let fits = |index: &usize| self.sums(&tiles[*index].1, Flip::default()).correlation();
-            let (index, other) = best(0..tiles.len(), fits);
-            if other > (correlation.max(flipped) + MARGIN_TILE).max(LEAST_CORRELATION) {
-                return Err(wrong_tile(&score, tiles[index].0, other).into());
-            }
-        }
-        if flipped > LEAST_CORRELATION && -lead > MARGIN_FLIP {
-            return Err(self.wrong_orientation(&score, flip, flipped).into());
+
+        let agreement = score.agreement.unwrap_or(1.0);
+        let mut mistakes = Vec::new();
+        if self.explains(&flipped, &declared, MARGIN_FLIP) {
+            mistakes.push((flipped.correlation(), self.wrong_orientation(&score, flip, &flipped)));
         }
         if self.darkness.nrows() > 2 * REACH + LEAST_CELLS {
-            self.check_shift(surroundings)?;
+            let span = 0..=2 * REACH;
+            let all =
+                span.clone().flat_map(|rows| span.clone().map(move |columns| [rows, columns]));
+            let (shift, moved) = best(all.map(|shift| (shift, self.shifted(surroundings, shift))));
+            let unmoved = self.shifted(surroundings, [REACH; 2]);
+            if self.explains(&moved, &unmoved, MARGIN_SHIFT) {
+                mistakes.push((moved.correlation(), shifted(&score, shift, &moved)));
+            }
+        }
+        if agreement < DOUBTFUL_AGREEMENT {
+            let tiles = elsewhere()?;
+            let fits =
+                tiles.iter().map(|(id, other)| (Some(*id), self.sums(other, Flip::default())));
+            if let (Some(tile), other) = best(fits)
+                && self.explains(&other, &declared, MARGIN_TILE)
+            {
+                mistakes.push((other.correlation(), wrong_tile(&score, tile, &other)));
+            }
+        }
+        // Of several that would do, the one that explains most.
+        if let Some((_, rejection)) = mistakes.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
+            return Err(rejection.into());
         }
         if agreement < LEAST_AGREEMENT {
             return Err(buildings_disagree(agreement).into());
@@ -240,19 +257,31 @@ impl Placement {
         Ok(Verdict { score, warning: (lead < CLEAR_LEAD).then(warning) })
     }
 
+    /// Only where darkness is 0 or 1.
+    fn agreement(&self, sums: &Sums) -> Option<f64> {
+        (self.evidence == Evidence::NoPath).then(|| sums.agreement())
+    }
+
+    /// Whether a map that lies in another way fits, and better than as declared.
+    fn explains(&self, other: &Sums, declared: &Sums, margin: f64) -> bool {
+        let least = (declared.correlation() + margin).max(LEAST_CORRELATION);
+        let agrees = self.agreement(other).is_none_or(|agreement| agreement >= LEAST_AGREEMENT);
+        agrees && other.correlation() > least
+    }
+
     /// The same change for the array as it is in the file, which may have south first.
     fn in_file(&self, flip: Flip) -> Flip {
         let swap = flip.transposed && self.row_order == RowOrder::SouthFirst;
         Flip { rows: flip.rows ^ swap, columns: flip.columns ^ swap, ..flip }
     }
 
-    fn wrong_orientation(&self, score: &OrientationScore, flip: Flip, other: f64) -> Rejection {
+    fn wrong_orientation(&self, score: &OrientationScore, flip: Flip, other: &Sums) -> Rejection {
         let words = self.in_file(flip).words();
         let only_rows = flip == Flip { rows: true, ..Flip::default() };
         Rejection::new(
             RejectionCode::WrongOrientation,
             expected(score),
-            format!("once it is {words}, it does (correlation {other:.3})"),
+            format!("once it is {words}, it does (correlation {:.3})", other.correlation()),
             if only_rows {
                 "correct row_order, or flip the array"
             } else {
@@ -260,27 +289,17 @@ impl Placement {
             },
         )
     }
+}
 
-    fn check_shift(&self, surroundings: &Surroundings) -> Result<(), Rejection> {
-        let span = 0..=2 * REACH;
-        let shifts = span.clone().flat_map(|rows| span.clone().map(move |columns| (rows, columns)));
-        let ((rows, columns), shifted) =
-            best(shifts, |&(rows, columns)| self.shifted(surroundings, rows, columns));
-        let declared = self.shifted(surroundings, REACH, REACH);
-        if shifted <= (declared + MARGIN_SHIFT).max(LEAST_CORRELATION) {
-            return Ok(());
-        }
-        // What lies at row `rows` of the map belongs to row `REACH` of the tile.
-        let south = cells(rows as i64 - REACH as i64, ["south", "north"]);
-        let east = cells(columns as i64 - REACH as i64, ["east", "west"]);
-        let shift: Vec<String> = south.into_iter().chain(east).collect();
-        Err(Rejection::new(
-            RejectionCode::Shifted,
-            format!("a map that lies upon the tile's buildings (correlation {declared:.3})"),
-            format!("it lies {} of them (correlation {shifted:.3})", shift.join(" and ")),
-            "center the map on the tile; mind even and odd numbers of cells",
-        ))
-    }
+fn shifted(score: &OrientationScore, [rows, columns]: [usize; 2], other: &Sums) -> Rejection {
+    // What lies at row `rows` of the map belongs to row `REACH` of the tile.
+    let south = cells(rows as i64 - REACH as i64, ["south", "north"]);
+    let east = cells(columns as i64 - REACH as i64, ["east", "west"]);
+    let shift: Vec<String> = south.into_iter().chain(east).collect();
+    let found =
+        format!("it lies {} of them (correlation {:.3})", shift.join(" and "), other.correlation());
+    let mend = "center the map on the tile; mind even and odd numbers of cells";
+    Rejection::new(RejectionCode::Shifted, expected(score), found, mend)
 }
 
 fn expected(score: &OrientationScore) -> String {
@@ -294,13 +313,14 @@ fn cells(count: i64, [positive, negative]: [&str; 2]) -> Option<String> {
     (count > 0).then(|| format!("{count} {unit} {direction}"))
 }
 
-/// The first candidate with the highest score.
-fn best<T: Default>(candidates: impl Iterator<Item = T>, score: impl Fn(&T) -> f64) -> (T, f64) {
-    let mut best = (T::default(), f64::NEG_INFINITY);
-    for candidate in candidates {
-        let score = score(&candidate);
-        if score > best.1 {
-            best = (candidate, score);
+/// The first candidate with the highest correlation.
+fn best<T: Default>(candidates: impl Iterator<Item = (T, Sums)>) -> (T, Sums) {
+    let mut best = (T::default(), Sums::default());
+    let mut highest = f64::NEG_INFINITY;
+    for (candidate, sums) in candidates {
+        let correlation = sums.correlation();
+        if correlation > highest {
+            (best, highest) = ((candidate, sums), correlation);
         }
     }
     best
@@ -310,11 +330,11 @@ fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-fn wrong_tile(score: &OrientationScore, tile: TileId, other: f64) -> Rejection {
+fn wrong_tile(score: &OrientationScore, tile: TileId, other: &Sums) -> Rejection {
     Rejection::new(
         RejectionCode::WrongTile,
         expected(score),
-        format!("it fits the buildings of {tile} (correlation {other:.3})"),
+        format!("it fits the buildings of {tile} (correlation {:.3})", other.correlation()),
         "correct location_id and map_center_m, or trace the scene of this tile",
     )
 }
@@ -324,7 +344,7 @@ fn buildings_disagree(agreement: f64) -> Rejection {
         RejectionCode::BuildingsDisagree,
         format!("cells without path upon buildings (agreement of {LEAST_AGREEMENT} or more)"),
         format!("agreement {agreement}, and no better however the map is turned"),
-        "trace with the buildings of this tile, or correct location_id",
+        "trace with the buildings of this tile, correct location_id, or declare refraction",
     )
 }
 
@@ -352,10 +372,25 @@ mod tests {
         Window { values: reached.mapv(|reached| if reached { 1e-9 } else { 0.0 }), reached }
     }
 
-    fn placed(window: &Window, row_order: RowOrder) -> Result<Verdict, Rejection> {
+    fn metadata(row_order: RowOrder, refraction: bool) -> RadioMapMetadata {
+        let json = serde_json::json!({
+            "location_id": "a", "row_order": row_order, "no_path_value": 0, "cell_size_m": 4,
+            "map_center_m": [0, 0], "map_size_m": 240, "crs": 32633, "rx_height_m": 1.5,
+            "tx_position_m": [0, 0, 20], "tx_power_dbm": 15, "tx_power_is": "per_re",
+            "frequency_hz": 3.5e9, "tx_pattern": "iso", "sionna_version": "made up",
+            "samples_per_tx": 1, "max_depth": 1, "refraction": refraction, "diffraction": false,
+        });
+        RadioMapMetadata::parse(json.to_string().as_bytes()).expect("complete")
+    }
+
+    fn placed_with(window: &Window, metadata: &RadioMapMetadata) -> Result<Verdict, Rejection> {
         let level = |gain: f64| 10.0 * libm::log10(gain);
-        let placement = Placement::new(window, &surroundings(), row_order, level);
+        let placement = Placement::new(window, &surroundings(), metadata, level);
         placement.check(&surroundings(), || Ok(Vec::new()))
+    }
+
+    fn placed(window: &Window, row_order: RowOrder) -> Result<Verdict, Rejection> {
+        placed_with(window, &metadata(row_order, false))
     }
 
     fn turned(flip: Flip) -> Window {
@@ -392,9 +427,7 @@ mod tests {
     fn a_transposed_map_is_named_so_whatever_its_row_order() {
         let transposed = Flip { transposed: true, ..Flip::default() };
         let mut south_first = window();
-        for grid in [&mut south_first.values] {
-            grid.invert_axis(ndarray::Axis(0));
-        }
+        south_first.values.invert_axis(ndarray::Axis(0));
         south_first.reached.invert_axis(ndarray::Axis(0));
         // As the file has it, then as the import turns it north.
         let mut seen = Window {
@@ -431,11 +464,16 @@ mod tests {
             let values = flip.of(values.view()).to_owned();
             Window { reached: values.mapv(|_| true), values }
         };
-        let sound = placed(&filled(Flip::default()), RowOrder::NorthFirst).expect("sound");
+        let refracted = metadata(RowOrder::NorthFirst, true);
+        let sound = placed_with(&filled(Flip::default()), &refracted).expect("sound");
         assert_eq!((sound.score.evidence, sound.score.agreement), (Evidence::Level, None));
         let rows = Flip { rows: true, ..Flip::default() };
-        let rejection = placed(&filled(rows), RowOrder::NorthFirst).expect_err("flipped");
+        let rejection = placed_with(&filled(rows), &refracted).expect_err("flipped");
         assert_eq!(rejection.code, RejectionCode::WrongOrientation);
+        let undeclared = placed(&filled(Flip::default()), RowOrder::NorthFirst);
+        let rejection = undeclared.expect_err("filled without refraction");
+        assert_eq!(rejection.code, RejectionCode::BuildingsDisagree);
+        assert!(rejection.mend.contains("declare refraction"));
     }
 
     #[test]
@@ -443,7 +481,8 @@ mod tests {
         let nothing = Array2::from_elem((CELLS, CELLS), false);
         let open = Surroundings { outdoor: nothing.mapv(|is| !is), building: nothing };
         let window = window();
-        let placement = Placement::new(&window, &open, RowOrder::NorthFirst, |gain| gain);
+        let metadata = metadata(RowOrder::NorthFirst, false);
+        let placement = Placement::new(&window, &open, &metadata, |gain| gain);
         let verdict: Verdict =
             placement.check(&open, || Ok::<_, Rejection>(Vec::new())).expect("no evidence");
         let code = verdict.warning.map(|warning| warning.code);

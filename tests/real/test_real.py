@@ -61,7 +61,7 @@ MISTAKES = {
     "flipped": ({"wrong_orientation"}, 0.99),
     "transposed": ({"wrong_orientation"}, 0.99),
     "shifted": ({"shifted"}, 0.99),
-    "decibels_called_linear": ({"wrong_value_kind"}, 1.0),
+    "decibels_called_linear": ({"wrong_value_kind"}, 0.99),
     "watts_called_dbm": ({"wrong_value_kind"}, 1.0),
     "dbw_called_dbm": ({"wrong_value_kind"}, 0.98),
     "of_the_next_tile": ({"wrong_tile", "buildings_disagree"}, 0.97),
