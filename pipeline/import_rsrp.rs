@@ -35,10 +35,10 @@ pub(crate) fn run(
             warning.text
         ));
     }
-    if manifest.radio.len() > 1 {
-        let count = manifest.radio.len();
+    if manifest.solvers.len() > 1 {
+        let count = manifest.solvers.len();
         console.note(&format!(
-            "warning: the maps were computed in {count} different ways (see radio in manifest.json)"
+            "warning: the maps were computed in {count} different ways (see solvers in manifest.json)"
         ));
     }
     let report = Report::new(text(&manifest), &summary(&manifest))?;
@@ -74,7 +74,7 @@ fn summary(manifest: &RsrpManifest) -> serde_json::Value {
             .iter()
             .map(|(code, maps)| (code.name(), maps.len()))
             .collect::<BTreeMap<_, _>>(),
-        "radio_configurations": manifest.radio.len(),
+        "solvers": manifest.solvers.len(),
     })
 }
 

@@ -21,7 +21,7 @@ pub use files::{RsrpFile, StageFileError, TileFile, dropped_tiles};
 pub use policy::PolicyManifest;
 pub use rsrp::{
     BaseStation, Evidence, MapEntry, MapQuality, MapWarning, MaskCounts, OrientationScore, Radio,
-    RadioCount, RsrpManifest, RsrpMeta, SourceMap, ValueKind, WarningCode,
+    RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap, ValueKind, WarningCode,
 };
 pub use scenes::{
     LeftOutSolids, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation, ScenesConfig,

@@ -285,14 +285,42 @@ pub struct MapEntry {
     pub warnings: Vec<MapWarning>,
 }
 
-/// Number of maps that share a way of computing.
+/// What maps must share to be comparable: how they were computed, whatever the number of rays.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct RadioCount {
-    /// The way of computing.
-    pub radio: Radio,
+pub struct Solver {
+    /// Carrier frequency, in Hz.
+    pub frequency_hz: f64,
+    /// Height of the receivers over the ground, in metres.
+    pub rx_height_m: f64,
+    /// The solver and its version.
+    pub sionna_version: String,
+    /// Most interactions of a path.
+    pub max_depth: u32,
+    /// Whether paths go through walls.
+    pub refraction: bool,
+    /// Whether paths bend around edges.
+    pub diffraction: bool,
+}
+
+impl From<&Radio> for Solver {
+    fn from(radio: &Radio) -> Self {
+        let Radio { frequency_hz, rx_height_m, max_depth, refraction, diffraction, .. } = *radio;
+        let sionna_version = radio.sionna_version.clone();
+        Self { frequency_hz, rx_height_m, sionna_version, max_depth, refraction, diffraction }
+    }
+}
+
+/// The maps that share a solver.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SolverCount {
+    /// How they were computed.
+    pub solver: Solver,
     /// How many maps.
     pub maps: u64,
+    /// Least and most rays for a transmitter.
+    pub samples_per_tx: [u64; 2],
 }
 
 /// `RSRP/manifest.json`.
@@ -317,7 +345,7 @@ pub struct RsrpManifest {
     /// SHA-256 of the manifest of the tiles.
     pub tiles_manifest_sha256: String,
     /// Ways of computing; more than one means that maps are not comparable.
-    pub radio: Vec<RadioCount>,
+    pub solvers: Vec<SolverCount>,
     /// Rejected files by reason; `rejected.csv` lists them.
     pub rejected: BTreeMap<String, u64>,
     /// Files that are no maps, such as a README.

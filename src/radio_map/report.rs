@@ -9,7 +9,7 @@ use super::align::AlignedMap;
 use super::examine::Context;
 use super::rejection::Rejection;
 use crate::manifest::{
-    MapEntry, MapQuality, Radio, RadioCount, RsrpManifest, RsrpMeta, Software, to_json,
+    MapEntry, MapQuality, Radio, RsrpManifest, RsrpMeta, Software, Solver, SolverCount, to_json,
 };
 use crate::store::{Digest, npy_bytes, npz_bytes};
 
@@ -112,7 +112,7 @@ pub(super) fn summarise(
 ) -> RsrpManifest {
     let mut maps = Vec::new();
     let mut rejected = BTreeMap::new();
-    let mut radios: Vec<RadioCount> = Vec::new();
+    let mut solvers: Vec<SolverCount> = Vec::new();
     for outcome in outcomes {
         match outcome {
             Outcome::Rejected { rejection, .. } => {
@@ -120,9 +120,16 @@ pub(super) fn summarise(
             }
             Outcome::Imported { entry, radio } => {
                 maps.push(entry.clone());
-                match radios.iter_mut().find(|known| known.radio == *radio) {
-                    Some(known) => known.maps += 1,
-                    None => radios.push(RadioCount { radio: radio.clone(), maps: 1 }),
+                let (solver, samples) = (Solver::from(radio), radio.samples_per_tx);
+                match solvers.iter_mut().find(|known| known.solver == solver) {
+                    Some(SolverCount { maps, samples_per_tx: [least, most], .. }) => {
+                        *maps += 1;
+                        (*least, *most) = (samples.min(*least), samples.max(*most));
+                    }
+                    None => {
+                        let samples_per_tx = [samples, samples];
+                        solvers.push(SolverCount { solver, maps: 1, samples_per_tx });
+                    }
                 }
             }
         }
@@ -137,7 +144,7 @@ pub(super) fn summarise(
         epsg: context.manifest.epsg,
         config: context.rsrp.clone(),
         tiles_manifest_sha256: tiles_digest.sha256.clone(),
-        radio: radios,
+        solvers,
         rejected,
         ignored,
         maps,
