@@ -249,7 +249,7 @@ def test_from_openstreetmap_to_a_verified_dataset(tmp_path: Path) -> None:
     holescout("scenes", "--osm", EXTRACT, "--tiles", tiles, "--out", scenes, "--placement", "roof")
     descriptions = [json.loads(path.read_text()) for path in sorted(scenes.glob("*/scene.json"))]
     ident = max(descriptions, key=lambda scene: scene["solids"])["id"]
-    trace(scenes, "--out", maps, "--only", ident, "--samples", "4e6")
+    trace(scenes, "--out", maps, "--only", ident, "--samples", "2e7")
     path_gain, meta = load(maps / f"{ident}.npz")
     assert path_gain.shape == (121, 121)
     assert 0.05 < (path_gain == 0).mean() < 0.95, "buildings are empty, streets are not"
@@ -265,3 +265,37 @@ def test_from_openstreetmap_to_a_verified_dataset(tmp_path: Path) -> None:
     assert holescout("import-rsrp", "--maps", maps, "--tiles", tiles, "--out", tmp_path / "rsrp")["imported"] == 1
     holescout("shard", "--tiles", tiles, "--rsrp", tmp_path / "rsrp", "--out", tmp_path / "dataset")
     holescout("verify", tmp_path / "dataset")
+
+    # The same map as people spoil maps; each is rejected for just that.
+    near = min(
+        (other["id"] for other in descriptions if other["id"] != ident),
+        key=lambda other: np.hypot(*(np.subtract(place(other), place(ident)))),
+    )
+    with np.errstate(divide="ignore"):
+        decibels = 10 * np.log10(path_gain)
+    watts = path_gain * 10 ** ((meta["tx_power_dbm"] - 30) / 10)
+    dbm = {"value_kind": "rss_dbm", "no_path_value": 0.0}
+    easting, northing = place(near)
+    mistakes = {
+        "flipped": ("wrong_orientation", "path_gain", path_gain[::-1], {}),
+        "transposed": ("wrong_orientation", "path_gain", path_gain.T, {}),
+        "decibels_called_linear": ("wrong_value_kind", "path_gain", decibels, {"no_path_value": "-inf"}),
+        "watts_called_dbm": ("wrong_value_kind", "rss_dbm", watts, dbm),
+        "shifted": ("shifted", "path_gain", np.roll(path_gain, 3, axis=1), {}),
+        "of_the_next_tile": (
+            "wrong_tile", "path_gain", path_gain, {"location_id": near, "map_center_m": [easting, northing]},
+        ),
+    }
+    for mistake, (code, name, values, change) in mistakes.items():
+        spoiled = tmp_path / mistake
+        spoiled.mkdir()
+        text = np.frombuffer(json.dumps(meta | change).encode(), dtype=np.uint8)
+        np.savez(spoiled / "map.npz", meta_json=text, **{name: values.astype(np.float32)})
+        told = holescout("import-rsrp", "--maps", spoiled, "--tiles", tiles, "--out", spoiled / "rsrp")
+        assert told["rejected_by_code"] == {code: 1}, mistake
+
+
+def place(ident: str) -> tuple[float, float]:
+    """Easting and northing of a tile, from its name."""
+    easting, northing = re.fullmatch(r"utm\d\d[ns]_e(-?\d+)_n(-?\d+)", ident).groups()
+    return float(easting), float(northing)
