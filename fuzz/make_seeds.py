@@ -105,6 +105,7 @@ def seeds(dataset):
     yield "map/fixture", npz(np.savez_compressed, **arrays)
     yield "map/sionna", npz(np.savez, path_gain=linear.astype(np.float32)[np.newaxis])
     yield "map/large", npz(np.savez, rm=linear.astype(np.float32), tx_positions=np.array([[9.0], [8.0], [7.0]]))
+    yield "map/text", npz(np.savez, rm=linear.astype(np.float32), tx_positions=np.array([[b"a"], [b"b"], [b"c"]]))
     two = metadata | {"value_kind": "path_gain_linear", "tx_position_m": [[0, 0, 9], [1, 2, 3]], "no_path_value": [0, "-inf", "nan"]}
     stacked = np.stack([linear, linear / 2], axis=-1)
     yield "map/two", npz(np.savez, path_gain=stacked, meta_json=np.array(json.dumps(two)))

@@ -76,7 +76,7 @@ pub(crate) enum Command {
     /// Write the JSON Schemas of all file formats, or check them
     Schemas(SchemasArgs),
     /// Print the configuration, merged from defaults, file and flags
-    Config(ConfigArgs),
+    Config(Box<ConfigArgs>),
 }
 
 impl Command {

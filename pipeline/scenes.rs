@@ -68,7 +68,7 @@ fn text(manifest: &ScenesManifest) -> String {
     if let Some(SitesInput { file, sites, outside, repeated, raised, .. }) = &manifest.sites {
         line(format!(
             "{file}: {sites} sites, {outside} in no scene, {repeated} at places taken already, \
-             {raised} raised over a roof"
+             {raised} raised over a roof or the receivers"
         ));
     }
     let LeftOutSolids { no_height, covered_by_parts, no_area, not_closed } = manifest.left_out;

@@ -12,6 +12,7 @@ import math
 import os
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -219,8 +220,12 @@ def read_metadata(path: Path) -> Metadata:
     """Metadata of a map that is there already. Raises InvalidInput if it is none."""
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return json.loads(archive["meta_json"].tobytes())
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            metadata = json.loads(archive["meta_json"].tobytes())
+        if not isinstance(metadata, dict):
+            raise ValueError("meta_json is no object")
+        return metadata
+    except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, NotImplementedError,
+            zlib.error, zipfile.BadZipFile) as error:
         raise InvalidInput(f"{path} is no map of this program ({error}); remove it, or give --overwrite") from error
 
 

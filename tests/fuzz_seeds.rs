@@ -68,12 +68,14 @@ fn maps_are_read() {
         let preset = match name.rsplit_once('/') {
             Some((_, "sionna")) => Some(Preset::Sionna),
             Some((_, "large")) => Some(Preset::LargeRadioMaps),
+            // Positions that are no numbers: found by reading, it once ended the program.
+            Some((_, "text")) => Some(Preset::Geo2sigmap),
             _ => None,
         };
         if preset == Some(Preset::LargeRadioMaps) {
             assume.remove("tx_position_m"); // the archive tells it
         }
-        let supplement = Supplement { preset, assume: preset.map(|_| &assume), scene: None };
+        let supplement = Supplement { preset, assume: preset.map(|_| &assume), scenes: None };
         let path = Path::new("utm10n_e590848_n4128256.npz");
         let (described, map) =
             load_archive(Cursor::new(bytes), path, 1 << 16, &supplement, Some(1))
@@ -100,12 +102,12 @@ fn metadata_are_read() {
 fn numbers_of_many_digits_are_the_nearest() {
     for (name, bytes) in seeds("metadata") {
         let mut metadata: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
-        metadata["rx_height_m"] = serde_json::Value::Null;
+        metadata["map_center_m"][0] = serde_json::Value::Null;
         for digits in ["1.8446744077419102e20", "24.605934392528546", "385792.10000000003"] {
             let text = metadata.to_string().replace("null", digits);
             let metadata = RadioMapMetadata::parse(text.as_bytes())
                 .unwrap_or_else(|error| panic!("{name}: {error}"));
-            assert_eq!(Ok(metadata.rx_height_m), digits.parse::<f64>(), "{name}");
+            assert_eq!(Ok(metadata.map_center_m[0]), digits.parse::<f64>(), "{name}");
         }
     }
 }

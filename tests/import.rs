@@ -74,8 +74,9 @@ fn no_path_values(kind: &str) -> Vec<(Value, f64)> {
     if is_linear(kind) {
         return vec![(json!(0), 0.0), (json!(0.0), 0.0), nan, (json!(1e-30), 1e-30)];
     }
-    let infinity = (json!("-inf"), f64::NEG_INFINITY);
-    let far = if kind == "path_loss_db" { 1.0 } else { -1.0 };
+    let is_loss = kind == "path_loss_db";
+    let far = if is_loss { 1.0 } else { -1.0 };
+    let infinity = (json!(if is_loss { "inf" } else { "-inf" }), far * f64::INFINITY);
     // 160.1 is no number of any binary type: it is compared as the file rounds it.
     let floors = [160.0, 300.0, 999.0, 160.1].map(|floor| (json!(far * floor), far * floor));
     floors.into_iter().chain([nan, infinity]).collect()

@@ -563,12 +563,19 @@ fn invalid_metadata_are_named_by_key() {
         ("cell_size_m", json!("4 m")),
         ("map_size_m", json!(-484)),
         ("frequency_hz", json!(0)),
+        ("frequency_hz", json!(3.5)),
+        ("tx_power_dbm", json!(1e300)),
+        ("tx_position_m", json!([0, 0, 1e308])),
+        ("tx_position_m", json!([0, 0, -5])),
+        ("tx_position_m", json!([])),
+        ("no_path_value", json!([])),
+        ("samples_per_tx", json!(0)),
         ("rx_height_m", json!(-1)),
         ("crs", json!("UTM 35N")),
         ("schema", json!("radio_map.v2")),
         ("row_order", json!("up")),
         ("tx_power_is", json!("carrier")),
-        ("no_path_value", json!("inf")),
+        ("no_path_value", json!("infinite")),
         ("map_center_m", json!([1])),
         ("tx_position_m", json!({"x": 1})),
         ("samples_per_tx", json!("many")),
@@ -613,6 +620,35 @@ fn whole_numbers_may_be_written_as_floats() {
     draft.set("max_depth", json!(5.0));
     draft.write(&import);
     assert_eq!(import.rejected(), []);
+}
+
+/// Beside an archive that has none they count, too large they are not read.
+#[test]
+fn metadata_may_lie_beside_an_archive() {
+    let import = Import::new();
+    let Draft { array, values, metadata, .. } = Draft::new();
+    write(&import.map("bad.npz"), npz(&[(array, values)], CompressionMethod::Stored));
+    write(&import.map("bad.json"), metadata.to_string());
+    assert_eq!(import.rejected(), []);
+    write(&import.map("bad.json"), " ".repeat(2 << 20));
+    run(import.command().arg("--overwrite")).succeeds();
+    let rejected = import.listed();
+    assert_eq!(rejected.first().map(|line| line.code.as_str()), Some("too_large"));
+    assert_says(&rejected[0].expected, &["metadata", "1048576"]);
+}
+
+/// A path loss without path is infinite; what it is must be said.
+#[test]
+fn an_infinite_loss_is_named_as_it_is() {
+    let import = Import::new();
+    let mut bad = Draft::new();
+    bad.array = "path_loss_db";
+    bad.values = f4(&decibels(f64::NEG_INFINITY).mapv(|gain| -gain));
+    bad.set("no_path_value", json!(300));
+    bad.write(&import);
+    let rejected = import.only_rejection();
+    assert_eq!(rejected.code, "infinity_undeclared");
+    assert_says(&rejected.mend, &["no_path_value to \"inf\""]);
 }
 
 #[test]

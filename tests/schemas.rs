@@ -215,7 +215,7 @@ fn tampered_values_do_not_validate() {
         ("config.v1", "/shard/rsrp", json!("median")),
         ("config.v1", "/split/areas/0/split", json!("dev")),
         ("radio_map.v1", "/row_order", json!("up")),
-        ("radio_map.v1", "/no_path_value", json!("inf")),
+        ("radio_map.v1", "/no_path_value", json!("infinite")),
         ("radio_map.v1", "/map_center_m", json!([1.0])),
         ("radio_map.v1", "/tx_position_m", json!([1.0, 2.0, 3.0, 4.0])),
         ("tile.v1", "/id", json!("helsinki")),

@@ -17,7 +17,7 @@ fuzz_target!(|bytes: &[u8]| {
     let assume = BTreeMap::from([("map_size_m".to_owned(), serde_json::json!(484))]);
     let presets = [Preset::Sionna, Preset::Geo2sigmap, Preset::LargeRadioMaps].map(Some);
     let supplements =
-        presets.map(|preset| Supplement { preset, assume: Some(&assume), scene: None });
+        presets.map(|preset| Supplement { preset, assume: Some(&assume), scenes: None });
     for supplement in [Supplement::default()].into_iter().chain(supplements) {
         for tx in [None, Some(1)] {
             let load = || {

@@ -39,7 +39,7 @@ const ASSUMABLE: [&str; 21] = [
 pub enum Preset {
     /// A plain script around Sionna: `np.savez(path, path_gain=rm.path_gain)`.
     Sionna,
-    /// Geo2SigMap: `.npy`, linear path gain, north first; 0, -inf or NaN where no path arrives.
+    /// `Geo2SigMap`: `.npy`, linear path gain, north first; 0, -inf or NaN where no path arrives.
     Geo2sigmap,
     /// sionna-large-radio-maps: `.npz` with `rm` and `tx_positions` from the south-west corner.
     LargeRadioMaps,

@@ -33,7 +33,7 @@ impl<'a> Layout<'a> {
         Ok(layout)
     }
 
-    /// One map in C layout; an array of one map is that of any transmitter.
+    /// One map in C layout.
     pub(super) fn matrix(&self, npy: &Npy<'_>, map: usize) -> Array2<f64> {
         let axes = npy.shape.len();
         let mut strides = [0; 3];
@@ -46,10 +46,9 @@ impl<'a> Layout<'a> {
         }
         let stride = |axis: usize| strides.get(axis).copied().unwrap_or(0);
         let [of_map, of_row, of_column] = self.axes.map(stride);
-        let values = npy.values_f64();
-        let map = map.min(self.maps - 1);
         Array2::from_shape_fn((self.cells, self.cells), |(row, column)| {
-            values[map * of_map + row * of_row + column * of_column]
+            let index = map * of_map + row * of_row + column * of_column;
+            npy.value_f64(index).expect("the type was checked, the length against the shape")
         })
     }
 
@@ -101,6 +100,10 @@ fn wrong_shape(shape: &[usize]) -> Rejection {
 pub(super) fn positions(npy: &Npy<'_>) -> Option<Vec<[f64; 3]>> {
     let values = npy.values_f64();
     let [rows, columns] = npy.shape[..] else { return None };
+    // Text has no values.
+    if values.len() != rows.checked_mul(columns)? {
+        return None;
+    }
     let at = |row: usize, column: usize| {
         values[if npy.fortran_order { column * rows + row } else { row * columns + column }]
     };

@@ -74,7 +74,7 @@ pub(super) fn geometry(
         ));
     }
     let crop = f64::from(grid.crop_m);
-    if size < crop {
+    if size < crop * (1.0 - WHOLE_TOLERANCE) {
         return Err(Rejection::new(
             RejectionCode::WindowTooSmall,
             format!("at least the central {crop} m"),
@@ -96,7 +96,7 @@ pub(super) fn geometry(
         return Err(Rejection::new(
             RejectionCode::WrongCrs,
             tile.utm.to_string(),
-            format!("{:?}", metadata.crs),
+            metadata.crs.to_string(),
             "trace the scene of this tile, or correct crs",
         ));
     }
@@ -153,9 +153,11 @@ pub(super) fn values(map: &LoadedMap, metadata: &RadioMapMetadata) -> Result<(),
     if nan > 0 {
         return undeclared(RejectionCode::NanUndeclared, "nan", nan);
     }
-    let infinite = present().filter(|value| value.is_infinite()).count();
-    if infinite > 0 {
-        return undeclared(RejectionCode::InfinityUndeclared, "\"-inf\"", infinite);
+    for (infinity, name) in [(f64::NEG_INFINITY, "\"-inf\""), (f64::INFINITY, "\"inf\"")] {
+        let count = present().filter(|&value| value == infinity).count();
+        if count > 0 {
+            return undeclared(RejectionCode::InfinityUndeclared, name, count);
+        }
     }
     if map.kind.is_linear() {
         let zeros = present().filter(|&value| value == 0.0).count();
@@ -235,11 +237,11 @@ pub(super) fn transmitter(
         HeightSource::Levels => LEVELS_UNCERTAINTY_M,
         HeightSource::Default => f64::INFINITY,
     };
-    let found = format!("{z} m over the ground, {:.1} m below the roof", height - z);
+    let found = format!("{z:.1} m over the ground, {:.1} m below the roof", height - z);
     if height - z > uncertainty {
         return Err(Rejection::new(
             RejectionCode::TransmitterInsideBuilding,
-            format!("above the roof under it, {height} m"),
+            format!("above the roof under it, {height:.1} m"),
             found,
             "trace with the buildings of this tile, or correct tx_position_m",
         ));
@@ -268,7 +270,7 @@ pub(super) fn expected_rays(
 /// reach is missed, and those that are hit look too strong.
 pub(super) fn sampling(rays: f64, config: &RsrpConfig) -> Result<Option<MapWarning>, Rejection> {
     let found = format!("{rays:.3} expected rays per cell at the window's corner");
-    if rays < config.min_rays {
+    if rays.is_nan() || rays < config.min_rays {
         let mend = if rays == 0.0 {
             "the transmitter stands in the receivers' plane, which no direct ray crosses: raise it"
         } else {

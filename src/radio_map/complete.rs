@@ -5,12 +5,12 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::load::unreadable;
 use super::metadata::{Object, is_given};
-use super::rejection::{Rejection, RejectionCode};
 use crate::config::Preset;
+use crate::error::FileError;
 use crate::grid::TileId;
-use crate::manifest::SceneMeta;
+use crate::manifest::{SceneEntry, SceneFile, SceneMeta, ScenesManifest, StageFileError};
+use crate::store::sha256_bytes;
 
 /// What is put where metadata have no value. What is written always counts more.
 #[derive(Debug, Clone, Copy, Default)]
@@ -19,8 +19,8 @@ pub struct Supplement<'a> {
     pub preset: Option<Preset>,
     /// `[rsrp.assume]`: values by key of the metadata.
     pub assume: Option<&'a BTreeMap<String, Value>>,
-    /// What the scene of the tile tells, by the same keys.
-    pub scene: Option<&'a Object>,
+    /// What the scenes of tiles tell, by the same keys.
+    pub scenes: Option<&'a BTreeMap<TileId, Object>>,
 }
 
 /// What the arrays of a file tell of its metadata.
@@ -38,7 +38,7 @@ impl Supplement<'_> {
     /// Whether anything is to be added at all. Without, metadata are complete or rejected.
     pub(super) fn is_active(&self) -> bool {
         let assumes = self.assume.is_some_and(|assume| !assume.is_empty());
-        assumes || self.preset.is_some() || self.scene.is_some()
+        assumes || self.preset.is_some() || self.scenes.is_some()
     }
 
     /// Adds what is missing, and returns the keys that were added, sorted.
@@ -55,7 +55,13 @@ impl Supplement<'_> {
                 added.push(key.to_owned());
             }
         };
-        for (key, value) in self.scene.into_iter().flatten() {
+        if let Some(id) = tile_in_name(path) {
+            add(object, "location_id", json!(id.to_string()));
+        }
+        let location = object.get("location_id").and_then(Value::as_str);
+        let tile = location.and_then(|name| name.parse::<TileId>().ok());
+        let scene = self.scenes.zip(tile).and_then(|(scenes, tile)| scenes.get(&tile));
+        for (key, value) in scene.into_iter().flatten() {
             add(object, key, value.clone());
         }
         for (key, value) in self.assume.into_iter().flatten() {
@@ -64,11 +70,7 @@ impl Supplement<'_> {
         for (key, value) in self.preset.into_iter().flat_map(|preset| habits(preset, facts)) {
             add(object, key, value);
         }
-        if let Some(id) = tile_in_name(path) {
-            add(object, "location_id", json!(id.to_string()));
-        }
-        let location = object.get("location_id").and_then(Value::as_str);
-        if let Some(id) = location.and_then(|name| name.parse::<TileId>().ok()) {
+        if let Some(id) = tile {
             add(object, "map_center_m", json!(id.center()));
             add(object, "crs", json!(id.utm.epsg()));
         }
@@ -113,28 +115,38 @@ fn habits(preset: Preset, facts: &ArrayFacts) -> Vec<(&'static str, Value)> {
     }
 }
 
-/// What the scene that a map was traced from tells of it: who transmits from where, and at which
-/// height it is received. `None` if no scene has the name of the map's tile.
-pub(super) fn scene_facts(scenes: &Path, map: &Path) -> Result<Option<Object>, Rejection> {
-    let Some(tile) = tile_in_name(map) else { return Ok(None) };
-    let path = scenes.join(tile.to_string()).join("scene.json");
-    if !path.exists() {
-        return Ok(None);
-    }
-    let text = std::fs::read(&path).map_err(|error| unreadable(&error))?;
-    let scene: SceneMeta = serde_json::from_slice(&text).map_err(|error| {
-        let found = format!("{}: {error}", path.display());
-        let mend = "make the scenes again with `holescout scenes`";
-        Rejection::new(RejectionCode::InvalidMetadata, "a scene (scene.v1)", found, mend)
-    })?;
-    let positions: Vec<[f64; 3]> =
-        scene.base_stations.iter().map(|station| station.position_m).collect();
-    let position = match positions[..] {
-        [position] => json!(position),
-        _ => json!(positions),
+/// What scenes tell of the maps that were traced from them, by tile: who transmits from where, and
+/// at which height it is received.
+///
+/// # Errors
+/// [`StageFileError`] if a scene is not what its manifest says.
+pub(super) fn scene_facts(
+    directory: &Path,
+    manifest: &ScenesManifest,
+) -> Result<BTreeMap<TileId, Object>, StageFileError> {
+    let facts = |entry: &SceneEntry| {
+        let file = entry.files.iter().find(|file| file.file.ends_with("scene.json"));
+        let Some(SceneFile { file, digest: expected }) = file else { return Ok(None) };
+        let path = directory.join(file);
+        let text = std::fs::read(&path).map_err(FileError::new("read", &path))?;
+        let found = sha256_bytes(&text);
+        if found != *expected {
+            return Err(StageFileError::Changed { path, expected: expected.clone(), found });
+        }
+        let scene: SceneMeta = serde_json::from_slice(&text).map_err(|error| {
+            StageFileError::Invalid { path: path.clone(), reason: error.to_string() }
+        })?;
+        let positions: Vec<[f64; 3]> =
+            scene.base_stations.iter().map(|station| station.position_m).collect();
+        let position = match positions[..] {
+            [position] => json!(position),
+            _ => json!(positions),
+        };
+        let facts = [("tx_position_m", position), ("rx_height_m", json!(scene.rx_height_m))];
+        let facts = facts.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+        Ok(Some((entry.id, facts)))
     };
-    let facts = [("tx_position_m", position), ("rx_height_m", json!(scene.rx_height_m))];
-    Ok(Some(facts.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()))
+    manifest.scenes.iter().filter_map(|entry| facts(entry).transpose()).collect()
 }
 
 /// The tile that a file is named after: `<tile>.npy`, or `<tile>_<anything>.npy`.
@@ -172,7 +184,7 @@ mod tests {
             ("cell_size_m".to_owned(), json!(4)),
         ]);
         let supplement =
-            Supplement { preset: Some(Preset::Sionna), assume: Some(&assume), scene: None };
+            Supplement { preset: Some(Preset::Sionna), assume: Some(&assume), scenes: None };
         let facts = ArrayFacts { cells: Some(121), ..ArrayFacts::default() };
         let object = completed(supplement, json!({ "cell_size_m": 2.0 }), &facts);
         assert_eq!(object["cell_size_m"], json!(2.0));
@@ -181,6 +193,20 @@ mod tests {
         assert_eq!(object["location_id"], json!(TILE));
         assert_eq!(object["map_center_m"], json!([590_848.0, 4_128_256.0]));
         assert_eq!(object["map_size_m"], json!(242.0));
+    }
+
+    #[test]
+    fn the_scene_of_a_tile_counts_more_than_what_is_assumed_of_all() {
+        let tile: TileId = TILE.parse().expect("a tile");
+        let facts = serde_json::from_value(json!({ "rx_height_m": 1.5 })).expect("an object");
+        let scenes = BTreeMap::from([(tile, facts)]);
+        let assume = BTreeMap::from([("rx_height_m".to_owned(), json!(2.0))]);
+        let supplement = Supplement { assume: Some(&assume), scenes: Some(&scenes), preset: None };
+        let nothing = ArrayFacts::default();
+        assert_eq!(completed(supplement, json!({}), &nothing)["rx_height_m"], json!(1.5));
+        // Metadata tell which scene it is, not the name of the file.
+        let other = json!({ "location_id": "utm10n_e1_n1" });
+        assert_eq!(completed(supplement, other, &nothing)["rx_height_m"], json!(2.0));
     }
 
     #[test]

@@ -8,9 +8,9 @@ use ndarray::{Array2, s};
 use super::align::{AlignedMap, align};
 use super::check::{self, Geometry};
 use super::convert::{power_per_re, to_rsrp};
-use super::free_space::Comparison;
+use super::free_space::{Comparison, FreeSpace};
 use super::load::{Described, load_values};
-use super::metadata::RadioMapMetadata;
+use super::metadata::{Object, RadioMapMetadata};
 use super::orientation::Placement;
 use super::rejection::{Rejection, RejectionCode};
 use super::window::{Surroundings, Window};
@@ -23,15 +23,15 @@ use crate::manifest::{
 };
 use crate::store::Digest;
 
-/// A map that fits no tile better is compared with tiles so many steps of the lattice away.
+/// A map that hardly fits its tile is compared with the tiles up to so many steps of the lattice away.
 const NEIGHBOURS: u64 = 2;
 
 /// Everything that the import of one map needs to know.
 pub(super) struct Context<'a> {
     /// Directory of the tiles.
     pub(super) tiles: &'a Path,
-    /// Directory of the scenes that the maps were traced from, if told.
-    pub(super) scenes: Option<&'a Path>,
+    /// What the scenes that the maps were traced from tell, if they are given.
+    pub(super) scenes: Option<BTreeMap<TileId, Object>>,
     pub(super) manifest: &'a TilesManifest,
     pub(super) by_id: BTreeMap<TileId, &'a TileEntry>,
     pub(super) dropped: BTreeMap<TileId, Verdict>,
@@ -123,13 +123,14 @@ pub(super) fn examine(
     context: &Context<'_>,
 ) -> Result<Examined, Refusal> {
     let (grid, rsrp, metadata) = (context.grid(), context.rsrp, &described.metadata);
-    let map = load_values(&source.path, metadata, context.limit, rsrp.tx.map(|tx| tx as usize))?;
+    let map = load_values(source.path, metadata, context.limit, rsrp.tx.map(|tx| tx as usize))?;
     let geometry = check::geometry(&map, metadata, entry.id, grid, context.record_cell_m)?;
     let tile = TileFile::read(context.tiles, entry)?;
     let surroundings = context.surroundings(&tile, &geometry);
     let window = Window::cut(&map, metadata, &geometry);
     let position = map.tx_position_m;
-    let levels = Comparison::new(&window, &surroundings, metadata, position, geometry.cell_m);
+    let free_space = FreeSpace::new(metadata, position, geometry.cell_m, geometry.cells);
+    let levels = Comparison::new(&window, &surroundings, metadata, &free_space);
     // Impossible values are those of another kind more often than not.
     check::values(&map, metadata).map_err(|rejection| {
         let other = (rejection.code == RejectionCode::ValueOutOfRange)
@@ -140,7 +141,8 @@ pub(super) fn examine(
     let mut warnings = Vec::new();
     // The place comes before the levels: a map that is turned has its strong cells elsewhere.
     let level = |value: f64| to_rsrp(value, map.kind, metadata).0;
-    let placement = Placement::new(&window, &surroundings, metadata, level);
+    let friis = |at| (power_per_re(metadata) + free_space.gain(at)).0;
+    let placement = Placement::new(&window, &surroundings, metadata, level, friis);
     let placed = placement.check(&surroundings, || context.nearby(entry.id, &geometry))?;
     warnings.extend(placed.warning);
     let roof = |x: f64, y: f64| roof(&tile, grid.cell_m, x, y);

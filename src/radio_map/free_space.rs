@@ -36,6 +36,40 @@ fn free_space(distance_m: f64, frequency_hz: f64) -> Db {
     Db::from_linear(ratio * ratio)
 }
 
+/// Places of a window's cells, and free-space gains there.
+pub(super) struct FreeSpace {
+    tx_position_m: [f64; 3],
+    rx_height_m: f64,
+    frequency_hz: f64,
+    cell_m: f64,
+    /// Row and column of the window's middle.
+    middle: f64,
+}
+
+impl FreeSpace {
+    /// For a window of `cells` cells of `cell_m` along a side.
+    pub(super) fn new(
+        metadata: &RadioMapMetadata,
+        tx_position_m: [f64; 3],
+        cell_m: f64,
+        cells: usize,
+    ) -> Self {
+        let RadioMapMetadata { rx_height_m, frequency_hz, .. } = *metadata;
+        let middle = (cells as f64 - 1.0) / 2.0;
+        Self { tx_position_m, rx_height_m, frequency_hz, cell_m, middle }
+    }
+
+    /// At the centre of a cell, at the receivers' height.
+    pub(super) fn gain(&self, (row, column): (usize, usize)) -> Db {
+        let [east, north, up] = self.tx_position_m;
+        let x = (column as f64 - self.middle) * self.cell_m - east;
+        let y = (self.middle - row as f64) * self.cell_m - north;
+        let z = self.rx_height_m - up;
+        let distance = libm::sqrt(x * x + y * y + z * z).max(self.cell_m / 2.0);
+        free_space(distance, self.frequency_hz)
+    }
+}
+
 /// The cells that are compared, with what free space would give there.
 pub(super) struct Comparison<'a> {
     metadata: &'a RadioMapMetadata,
@@ -46,33 +80,22 @@ pub(super) struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    /// Compares at the centres of the window's outdoor cells, at the receivers' height.
+    /// Compares at the window's outdoor cells.
     pub(super) fn new(
         window: &Window,
         surroundings: &Surroundings,
         metadata: &'a RadioMapMetadata,
-        tx_position_m: [f64; 3],
-        cell_m: f64,
+        free_space: &FreeSpace,
     ) -> Self {
-        let [east, north, up] = tx_position_m;
-        let middle = (window.values.nrows() as f64 - 1.0) / 2.0;
         let outdoor = surroundings.outdoor.iter().filter(|&&outdoor| outdoor).count();
-        let compared = |&((row, column), value): &((usize, usize), &f64)| {
-            surroundings.outdoor[(row, column)]
-                && window.reached[(row, column)]
-                && value.is_finite()
+        let compared = |&(at, value): &((usize, usize), &f64)| {
+            surroundings.outdoor[at] && window.reached[at] && value.is_finite()
         };
         let cells: Vec<_> = window
             .values
             .indexed_iter()
             .filter(compared)
-            .map(|((row, column), &value)| {
-                let x = (column as f64 - middle) * cell_m - east;
-                let y = (middle - row as f64) * cell_m - north;
-                let z = metadata.rx_height_m - up;
-                let distance = libm::sqrt(x * x + y * y + z * z).max(cell_m / 2.0);
-                (value, free_space(distance, metadata.frequency_hz))
-            })
+            .map(|(at, &value)| (value, free_space.gain(at)))
             .collect();
         let reached_share = cells.len() as f64 / outdoor.max(1) as f64;
         Self { metadata, cells, reached_share }
@@ -118,7 +141,7 @@ impl<'a> Comparison<'a> {
         if let Some(count) = self.metadata.n_subcarriers.filter(|_| is_power) {
             let offset = Db::from_linear(count.into()).0;
             let (carrier, element) = ("the whole carrier", "one resource element");
-            let mixed = |values, power| format!("values of {values} for a tx_power_dbm of {power}");
+            let mixed = |values, power| format!("values of {values} with the power of {power}");
             readings.extend(scaled(declared, -offset, &mixed(carrier, element)));
             readings.extend(scaled(declared, offset, &mixed(element, carrier)));
         }
@@ -226,8 +249,13 @@ mod tests {
         Surroundings { building: grid(false), outdoor: grid(true) }
     }
 
+    fn friis(metadata: &RadioMapMetadata) -> FreeSpace {
+        FreeSpace::new(metadata, TX, CELL_M, CELLS)
+    }
+
     fn check(window: &Window, kind: ValueKind) -> Result<Option<f64>, Rejection> {
-        Comparison::new(window, &open(), &metadata(), TX, CELL_M).check(kind)
+        let metadata = metadata();
+        Comparison::new(window, &open(), &metadata, &friis(&metadata)).check(kind)
     }
 
     #[test]
@@ -262,8 +290,8 @@ mod tests {
         let carrier = window(0.0, |gain| 46.0 + gain);
         assert!(mend(&carrier, ValueKind::RsrpDbm).contains("values of the whole carrier"));
         let loss = window(0.0, |gain| -gain);
-        let comparison = (loss, metadata());
-        let comparison = Comparison::new(&comparison.0, &open(), &comparison.1, TX, CELL_M);
+        let metadata = metadata();
+        let comparison = Comparison::new(&loss, &open(), &metadata, &friis(&metadata));
         let other = comparison.other_kind(ValueKind::PathGainDb).expect("another kind fits");
         assert!(other.mend.contains("path_loss_db"));
     }

@@ -118,14 +118,10 @@ fn describe_archive<R: Read + Seek>(
     path: &Path,
     supplement: &Supplement<'_>,
 ) -> Result<Described, Rejection> {
-    let found = "no meta_json in the archive";
+    let found = "no meta_json in the archive, and no .json of the same name beside it";
     let has_metadata = archive.names().iter().any(|name| name == METADATA);
-    let written = if has_metadata { Some(archive_metadata(archive)?) } else { None };
-    if !supplement.is_active() {
-        return describe(written.ok_or(found), path, supplement, &ArrayFacts::default());
-    }
-    let written = if has_metadata { written } else { read_sidecar(path)? };
-    let facts = facts_of_npz(archive)?;
+    let written = if has_metadata { Some(archive_metadata(archive)?) } else { read_sidecar(path)? };
+    let facts = if supplement.is_active() { facts_of_npz(archive)? } else { ArrayFacts::default() };
     describe(written.ok_or(found), path, supplement, &facts)
 }
 
@@ -193,7 +189,15 @@ fn archive_metadata<R: Read + Seek>(archive: &mut NpzReader<R>) -> Result<Vec<u8
 fn read_sidecar(path: &Path) -> Result<Option<Vec<u8>>, Rejection> {
     let path = path.with_extension("json");
     match path.try_exists() {
-        Ok(true) => read_limited(&path, MAX_METADATA).map(Some),
+        Ok(true) => match path.metadata().map(|metadata| metadata.len()) {
+            Ok(size) if size > MAX_METADATA => Err(Rejection::new(
+                RejectionCode::TooLarge,
+                format!("metadata of at most {MAX_METADATA} bytes"),
+                format!("{size} bytes beside the map"),
+                "leave out what schema radio_map.v1 does not name",
+            )),
+            _ => read_limited(&path, MAX_METADATA).map(Some),
+        },
         Ok(false) => Ok(None),
         Err(error) => Err(unreadable(&error)),
     }
@@ -385,7 +389,7 @@ pub(super) fn list(directory: &Path) -> std::io::Result<(Vec<PathBuf>, Vec<Strin
         paths.into_iter().filter(|path| path.is_file()).partition(|path| may_be_map(path));
     // A .json beside a map is its metadata.
     let is_sidecar = |path: &PathBuf| {
-        let beside = |extension| maps.contains(&path.with_extension(extension));
+        let beside = |extension| maps.binary_search(&path.with_extension(extension)).is_ok();
         extension(path) == "json" && (beside("npy") || beside("npz"))
     };
     let name = |path: PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());

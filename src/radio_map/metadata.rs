@@ -42,7 +42,7 @@ pub enum NoPathValue {
 pub enum Marker {
     /// A number.
     Number(f64),
-    /// Negative infinity or NaN.
+    /// An infinity or NaN.
     Special(SpecialValue),
 }
 
@@ -52,6 +52,9 @@ pub enum SpecialValue {
     /// Negative infinity.
     #[serde(rename = "-inf")]
     NegativeInfinity,
+    /// Infinity: a path loss without path.
+    #[serde(rename = "inf")]
+    Infinity,
     /// Not a number.
     #[serde(rename = "nan")]
     Nan,
@@ -64,6 +67,7 @@ impl Marker {
         match self {
             Self::Number(value) => value,
             Self::Special(SpecialValue::NegativeInfinity) => f64::NEG_INFINITY,
+            Self::Special(SpecialValue::Infinity) => f64::INFINITY,
             Self::Special(SpecialValue::Nan) => f64::NAN,
         }
     }
@@ -109,6 +113,15 @@ pub enum Crs {
     Code(u32),
     /// `"EPSG:32610"`.
     Name(String),
+}
+
+impl std::fmt::Display for Crs {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Code(code) => write!(f, "{code}"),
+            Self::Name(name) => f.write_str(name),
+        }
+    }
 }
 
 impl Crs {
@@ -223,7 +236,7 @@ const REQUIRED: [&str; 18] = [
 ];
 
 /// Metadata as they are written, before they are complete.
-pub(super) type Object = serde_json::Map<String, serde_json::Value>;
+pub type Object = serde_json::Map<String, serde_json::Value>;
 
 /// Whether a key has a value.
 pub(super) fn is_given(object: &Object, key: &str) -> bool {
@@ -293,24 +306,45 @@ impl RadioMapMetadata {
         };
         positive("cell_size_m", self.cell_size_m)?;
         positive("map_size_m", self.map_size_m)?;
-        positive("frequency_hz", self.frequency_hz)?;
+        let frequency = self.frequency_hz;
+        demand(
+            (1e7..=1e13).contains(&frequency),
+            "frequency_hz",
+            "hertz, as 3.5e9 for 3.5 GHz",
+            frequency.to_string(),
+        )?;
+        let power = self.tx_power_dbm;
+        demand(power.abs() <= 200.0, "tx_power_dbm", "dBm, -200 to 200", power.to_string())?;
         let height = self.rx_height_m;
         demand(
-            height >= 0.0,
+            (0.0..=10_000.0).contains(&height),
             "rx_height_m",
-            "0 m or more, a horizontal plane",
+            "0 to 10000 m, a horizontal plane",
             height.to_string(),
         )?;
+        let samples = self.samples_per_tx;
+        demand(samples > 0, "samples_per_tx", "at least one ray", samples.to_string())?;
         let positions = self.tx_position_m.all();
-        demand(!positions.is_empty(), "tx_position_m", "at least one position", "[]".to_owned())?;
+        let near = |[x, y, z]: &[f64; 3]| {
+            let plausible = [x, y].iter().all(|distance| distance.abs() <= 1e7);
+            plausible && (0.0..=100_000.0).contains(z)
+        };
+        demand(
+            !positions.is_empty() && positions.iter().all(near),
+            "tx_position_m",
+            "east, north and up in metres, not below the ground",
+            format!("{positions:?}"),
+        )?;
+        let no_path = self.no_path_value.values();
+        demand(!no_path.is_empty(), "no_path_value", "at least one value", "[]".to_owned())?;
         let crs = self.crs.epsg();
-        demand(crs.is_some(), "crs", "an EPSG code such as EPSG:32610", format!("{:?}", self.crs))?;
+        demand(crs.is_some(), "crs", "an EPSG code such as EPSG:32610", self.crs.to_string())?;
         if self.tx_power_is == PowerReference::Total {
             demand(
                 self.n_subcarriers.is_some_and(|count| count > 0),
                 "n_subcarriers",
                 "the number of subcarriers, since tx_power_is = total",
-                format!("{:?}", self.n_subcarriers),
+                self.n_subcarriers.map_or("nothing".to_owned(), |count| count.to_string()),
             )?;
         }
         Ok(())

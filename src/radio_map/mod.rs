@@ -25,6 +25,8 @@ pub use align::{AlignedMap, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 pub use complete::Supplement;
 pub use convert::to_rsrp;
 pub use load::{Described, LoadedMap, load_archive, load_metadata, load_values};
-pub use metadata::{Marker, NoPathValue, PowerReference, RadioMapMetadata, RowOrder, TxPosition};
+pub use metadata::{
+    Marker, NoPathValue, Object, PowerReference, RadioMapMetadata, RowOrder, TxPosition,
+};
 pub use rejection::{Rejection, RejectionCode};
 pub use stage::{ImportError, ImportJob, import_maps};

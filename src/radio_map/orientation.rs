@@ -10,7 +10,7 @@
 //!   where exactly the buildings are without path, whatever part of the outdoors is; 0.5 to 1 on
 //!   those maps and around 0 on the buildings of other tiles.
 //!
-//! Where refraction fills the buildings, the level in dB takes the place of "no path".
+//! Where refraction fills the buildings, the loss over free space in dB takes the place of "no path".
 
 use ndarray::{Array2, ArrayView2, Zip, s};
 
@@ -33,6 +33,11 @@ const LEAST_CORRELATION: f64 = 0.1;
 /// Another way to lie must win by this, so that chance does not decide.
 const MARGIN_FLIP: f64 = 0.02;
 const MARGIN_SHIFT: f64 = 0.005;
+/// Any must win by this where refraction lights up buildings: of ten maps of Helsinki a flip then led
+/// by 0.02 on one.
+const MARGIN_REFRACTION: f64 = 0.1;
+/// And so much agreement is enough then.
+const LEAST_AGREEMENT_REFRACTION: f64 = 0.1;
 /// Another tile must win by this.
 const MARGIN_TILE: f64 = 0.1;
 /// A smaller lead of the declared way over all flips is worth a warning.
@@ -95,15 +100,17 @@ impl Sums {
     /// `darkness` has NaN where there is nothing to compare.
     fn new(
         darkness: ArrayView2<'_, f64>,
+        base: ArrayView2<'_, f64>,
         building: ArrayView2<'_, bool>,
         outdoor: ArrayView2<'_, bool>,
     ) -> Self {
         // Without branches or arrays: this runs 57 times for each cell of a map.
         let (mut count_b, mut count_o, mut sum_b, mut sum_o, mut squares) =
             (0.0, 0.0, 0.0, 0.0, 0.0);
-        Zip::from(darkness).and(building).and(outdoor).for_each(|&value, &indoors, &open| {
-            let known = !value.is_nan();
-            let value = if known { value } else { 0.0 };
+        let cells = Zip::from(darkness).and(base).and(building).and(outdoor);
+        cells.for_each(|&darkness, &base, &indoors, &open| {
+            let known = !darkness.is_nan();
+            let value = if known { darkness + base } else { 0.0 };
             let weight = |is: bool| f64::from(u8::from(is & known));
             let (b, o) = (weight(indoors), weight(open));
             count_b += b;
@@ -144,11 +151,15 @@ impl Sums {
 
 /// How a map lies on the buildings of a tile.
 pub(super) struct Placement {
-    /// What is high where nothing arrives: 1 without path and 0 with one, or the level below
-    /// 0 dB where paths go through walls.
+    /// What is high where nothing arrives: 1 without path and 0 with one; or, where paths go
+    /// through walls, the negative level in dB.
     darkness: Array2<f64>,
+    /// What is added to it wherever the map lies: the level of free space, so that the distance to
+    /// the transmitter does not count; else 0.
+    base: Array2<f64>,
     evidence: Evidence,
     row_order: RowOrder,
+    refraction: bool,
 }
 
 /// What the check finds: the score for the report, and what a user should look at.
@@ -159,12 +170,14 @@ pub(super) struct Verdict {
 }
 
 impl Placement {
-    /// `level` gives a cell's level in dB, of any reference.
+    /// `level` gives a cell's level in dB and `free_space` that of free space at a row and column,
+    /// of the same reference.
     pub(super) fn new(
         window: &Window,
         surroundings: &Surroundings,
         metadata: &RadioMapMetadata,
         level: impl Fn(f64) -> f64,
+        free_space: impl Fn((usize, usize)) -> f64,
     ) -> Self {
         let RadioMapMetadata { row_order, refraction, .. } = *metadata;
         let count = |grid: &Array2<bool>| grid.iter().filter(|&&is| is).count() as f64;
@@ -172,18 +185,21 @@ impl Placement {
         // Counted over all cells, however they lie.
         if !refraction || unreached >= MOST_FILLED * count(&surroundings.building) {
             let darkness = window.reached.mapv(|reached| f64::from(u8::from(!reached)));
-            Self { darkness, evidence: Evidence::NoPath, row_order }
+            let base = Array2::zeros(darkness.raw_dim());
+            Self { darkness, base, evidence: Evidence::NoPath, row_order, refraction }
         } else {
             let darkness = Zip::from(&window.values)
                 .and(&window.reached)
                 .map_collect(|&value, &reached| if reached { -level(value) } else { f64::NAN });
-            Self { darkness, evidence: Evidence::Level, row_order }
+            let base = Array2::from_shape_fn(darkness.raw_dim(), free_space);
+            Self { darkness, base, evidence: Evidence::Level, row_order, refraction }
         }
     }
 
     fn sums(&self, surroundings: &Surroundings, flip: Flip) -> Sums {
         let Surroundings { building, outdoor } = surroundings;
-        Sums::new(flip.of(self.darkness.view()), building.view(), outdoor.view())
+        let (darkness, base) = (flip.of(self.darkness.view()), self.base.view());
+        Sums::new(darkness, base, building.view(), outdoor.view())
     }
 
     /// With the map moved by rows and columns, on the cells that all shifts have in common.
@@ -192,7 +208,8 @@ impl Placement {
         let moved = self.darkness.slice(s![rows..rows + inner, columns..columns + inner]);
         let common = s![REACH..REACH + inner, REACH..REACH + inner];
         let Surroundings { building, outdoor } = surroundings;
-        Sums::new(moved, building.slice(common), outdoor.slice(common))
+        let base = self.base.slice(common);
+        Sums::new(moved, base, building.slice(common), outdoor.slice(common))
     }
 
     /// Rejects a map that lies another way than declared. `elsewhere` gives the buildings of
@@ -220,7 +237,10 @@ impl Placement {
             return Ok(Verdict { score, warning: Some(warning) });
         }
 
-        let agreement = score.agreement.unwrap_or(1.0);
+        // Where levels are compared, the correlation itself must do.
+        let agreement = score
+            .agreement
+            .unwrap_or_else(|| if declared.correlation() < LEAST_CORRELATION { 0.0 } else { 1.0 });
         let mut mistakes = Vec::new();
         if self.explains(&flipped, &declared, MARGIN_FLIP) {
             mistakes.push((flipped.correlation(), self.wrong_orientation(&score, flip, &flipped)));
@@ -249,12 +269,17 @@ impl Placement {
         if let Some((_, rejection)) = mistakes.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
             return Err(rejection.into());
         }
-        if agreement < LEAST_AGREEMENT {
-            return Err(buildings_disagree(agreement).into());
+        if agreement < self.least_agreement() {
+            return Err(buildings_disagree(agreement, self.least_agreement()).into());
         }
-        let text = || format!("{} it fits nearly as well", self.in_file(flip).words());
+        let words = self.in_file(flip).words();
+        let text = || format!("once it is {words}, the map fits as well, or nearly so");
         let warning = || MapWarning::new(WarningCode::OrientationUnclear, text());
         Ok(Verdict { score, warning: (lead < CLEAR_LEAD).then(warning) })
+    }
+
+    fn least_agreement(&self) -> f64 {
+        if self.refraction { LEAST_AGREEMENT_REFRACTION } else { LEAST_AGREEMENT }
     }
 
     /// Only where darkness is 0 or 1.
@@ -264,8 +289,9 @@ impl Placement {
 
     /// Whether a map that lies in another way fits, and better than as declared.
     fn explains(&self, other: &Sums, declared: &Sums, margin: f64) -> bool {
+        let margin = if self.refraction { MARGIN_REFRACTION } else { margin };
         let least = (declared.correlation() + margin).max(LEAST_CORRELATION);
-        let agrees = self.agreement(other).is_none_or(|agreement| agreement >= LEAST_AGREEMENT);
+        let agrees = self.agreement(other).is_none_or(|share| share >= self.least_agreement());
         agrees && other.correlation() > least
     }
 
@@ -339,10 +365,10 @@ fn wrong_tile(score: &OrientationScore, tile: TileId, other: &Sums) -> Rejection
     )
 }
 
-fn buildings_disagree(agreement: f64) -> Rejection {
+fn buildings_disagree(agreement: f64, least: f64) -> Rejection {
     Rejection::new(
         RejectionCode::BuildingsDisagree,
-        format!("cells without path upon buildings (agreement of {LEAST_AGREEMENT} or more)"),
+        format!("cells without path upon buildings (agreement of {least} or more)"),
         format!("agreement {agreement}, and no better however the map is turned"),
         "trace with the buildings of this tile, correct location_id, or declare refraction",
     )
@@ -385,7 +411,7 @@ mod tests {
 
     fn placed_with(window: &Window, metadata: &RadioMapMetadata) -> Result<Verdict, Rejection> {
         let level = |gain: f64| 10.0 * libm::log10(gain);
-        let placement = Placement::new(window, &surroundings(), metadata, level);
+        let placement = Placement::new(window, &surroundings(), metadata, level, |_| 0.0);
         placement.check(&surroundings(), || Ok(Vec::new()))
     }
 
@@ -482,7 +508,7 @@ mod tests {
         let open = Surroundings { outdoor: nothing.mapv(|is| !is), building: nothing };
         let window = window();
         let metadata = metadata(RowOrder::NorthFirst, false);
-        let placement = Placement::new(&window, &open, &metadata, |gain| gain);
+        let placement = Placement::new(&window, &open, &metadata, |gain| gain, |_| 0.0);
         let verdict: Verdict =
             placement.check(&open, || Ok::<_, Rejection>(Vec::new())).expect("no evidence");
         let code = verdict.warning.map(|warning| warning.code);

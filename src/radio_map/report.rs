@@ -19,7 +19,7 @@ const DEFLATE_LEVEL: i64 = 1;
 /// What became of a file: what the journal remembers.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) enum Outcome {
-    Imported { entry: MapEntry, radio: Radio },
+    Imported { entry: Box<MapEntry>, radio: Radio },
     Rejected { file: String, location: String, rejection: Rejection },
 }
 
@@ -119,17 +119,15 @@ pub(super) fn summarise(
                 *rejected.entry(rejection.code.name()).or_default() += 1;
             }
             Outcome::Imported { entry, radio } => {
-                maps.push(entry.clone());
+                maps.push(MapEntry::clone(entry));
                 let (solver, samples) = (Solver::from(radio), radio.samples_per_tx);
-                match solvers.iter_mut().find(|known| known.solver == solver) {
-                    Some(SolverCount { maps, samples_per_tx: [least, most], .. }) => {
-                        *maps += 1;
-                        (*least, *most) = (samples.min(*least), samples.max(*most));
-                    }
-                    None => {
-                        let samples_per_tx = [samples, samples];
-                        solvers.push(SolverCount { solver, maps: 1, samples_per_tx });
-                    }
+                if let Some(known) = solvers.iter_mut().find(|known| known.solver == solver) {
+                    let [least, most] = known.samples_per_tx;
+                    known.maps += 1;
+                    known.samples_per_tx = [samples.min(least), samples.max(most)];
+                } else {
+                    let samples_per_tx = [samples, samples];
+                    solvers.push(SolverCount { solver, maps: 1, samples_per_tx });
                 }
             }
         }

@@ -8,10 +8,10 @@ use rayon::prelude::*;
 use super::complete::{Supplement, scene_facts};
 use super::examine::{Context, Examined, Refusal, SourceFile, examine};
 use super::load::{Described, list, load_metadata, unreadable};
-use super::metadata::RadioMapMetadata;
+use super::metadata::{Object, RadioMapMetadata};
 use super::rejection::{Rejection, RejectionCode};
 use super::report::{Outcome, imported_csv, rejected_csv, rsrp_npz, summarise};
-use crate::config::Config;
+use crate::config::{Config, RsrpConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
@@ -34,6 +34,15 @@ pub enum ImportError {
     /// The output directory cannot be used.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// The scenes stand on other tiles.
+    #[error(
+        "{}: made from other tiles than those given; run `holescout scenes` with these",
+        scenes.display()
+    )]
+    OtherTiles {
+        /// The directory of scenes.
+        scenes: PathBuf,
+    },
     /// Nothing to import.
     #[error(
         "no radio maps in {}: expected .npz files, or .npy with .json beside them",
@@ -51,7 +60,7 @@ impl HasFault for ImportError {
             Self::Manifest(error) => error.fault(),
             Self::Tile(error) => error.fault(),
             Self::Output(error) => error.fault(),
-            Self::NoMaps { .. } => Fault::Input,
+            Self::OtherTiles { .. } | Self::NoMaps { .. } => Fault::Input,
         }
     }
 }
@@ -100,10 +109,8 @@ pub fn import_maps(
 ) -> Result<RsrpManifest, ImportError> {
     let (manifest, tiles_digest) =
         load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
-    let scenes = job
-        .scenes
-        .map(|scenes| load::<ScenesManifest>(scenes, "scenes", ScenesManifest::SCHEMA))
-        .transpose()?;
+    let scenes = job.scenes.map(|scenes| read_scenes(scenes, &tiles_digest)).transpose()?;
+    let (scenes, scenes_digest) = scenes.unzip();
     let (paths, ignored) = list(job.maps).map_err(FileError::new("list", job.maps))?;
     if paths.is_empty() {
         return Err(ImportError::NoMaps { directory: job.maps.to_owned() });
@@ -122,13 +129,13 @@ pub fn import_maps(
         &tiles_digest,
         &inputs,
         &ignored,
-        scenes.map(|(_, digest)| digest),
+        scenes_digest,
     ));
     let output = OutputDir::begin(job.out, "rsrp", &fingerprint, job.overwrite)?;
 
     let context = Context {
         tiles: job.tiles,
-        scenes: job.scenes,
+        scenes,
         manifest: &manifest,
         by_id: manifest.tiles.iter().map(|entry| (entry.id, entry)).collect(),
         dropped: dropped_tiles(job.tiles)?,
@@ -142,6 +149,18 @@ pub fn import_maps(
     let manifest = summarise(&outcomes, &context, fingerprint, &tiles_digest, ignored);
     output.complete(&to_json(&manifest))?;
     Ok(manifest)
+}
+
+/// What scenes tell of maps, with the digest of their manifest.
+fn read_scenes(
+    directory: &Path,
+    tiles: &Digest,
+) -> Result<(BTreeMap<TileId, Object>, Digest), ImportError> {
+    let (manifest, digest) = load::<ScenesManifest>(directory, "scenes", ScenesManifest::SCHEMA)?;
+    if manifest.tiles_manifest_sha256 != tiles.sha256 {
+        return Err(ImportError::OtherTiles { scenes: directory.to_owned() });
+    }
+    Ok((scene_facts(directory, &manifest)?, digest))
 }
 
 fn source(path: PathBuf) -> Source {
@@ -159,18 +178,14 @@ fn import_all(
     progress: &dyn Progress,
 ) -> Result<Vec<Outcome>, ImportError> {
     progress.begin("reading metadata", Some(sources.len() as u64));
+    let RsrpConfig { preset, assume, .. } = context.rsrp;
+    let supplement =
+        Supplement { preset: *preset, assume: Some(assume), scenes: context.scenes.as_ref() };
     let described: Vec<Result<Described, Rejection>> = sources
         .par_iter()
         .map(|source| {
             progress.advance(1);
             source.digest.as_ref().map_err(Clone::clone)?;
-            let scene = context.scenes.map(|scenes| scene_facts(scenes, &source.path));
-            let scene = scene.transpose()?.flatten();
-            let supplement = Supplement {
-                preset: context.rsrp.preset,
-                assume: Some(&context.rsrp.assume),
-                scene: scene.as_ref(),
-            };
             load_metadata(&source.path, context.limit, &supplement)
         })
         .collect();
@@ -223,7 +238,7 @@ fn import_one(
             let file = format!("{}.npz", meta.id);
             let bytes = rsrp_npz(&meta, &map);
             let outcome = |written: &[Digest]| Outcome::Imported {
-                entry: MapEntry {
+                entry: Box::new(MapEntry {
                     id: meta.id,
                     file: file.clone(),
                     digest: written[0].clone(),
@@ -232,7 +247,7 @@ fn import_one(
                     quality,
                     assumed: assumed.clone(),
                     warnings,
-                },
+                }),
                 radio: meta.radio.clone(),
             };
             Ok(output.finish_item(&source.name, &[(&file, &bytes)], outcome)?)

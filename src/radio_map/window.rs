@@ -60,3 +60,23 @@ impl Surroundings {
         Self { building: built.mapv(|(_, all)| all), outdoor: built.mapv(|(any, _)| !any) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Coarser, equal and finer cells; what is partly built is neither.
+    #[test]
+    fn surroundings_are_those_of_the_maps_own_cells() {
+        let occupied = Array2::from_shape_fn((4, 4), |(row, column)| row < 2 && column < 3);
+        let count = |grid: &Array2<bool>| grid.iter().filter(|&&is| is).count();
+        for (cells, ratio, building, outdoor) in
+            [(2, 2.0, 1, 2), (4, 1.0, 6, 10), (8, 0.5, 24, 40), (16, 0.25, 96, 160), (1, 4.0, 0, 0)]
+        {
+            let Surroundings { building: b, outdoor: o } =
+                Surroundings::new(&occupied, cells, ratio);
+            assert_eq!((count(&b), count(&o)), (building, outdoor), "{cells} cells");
+            assert!(b.is_empty() || cells < 2 || b[[0, 0]]);
+        }
+    }
+}

@@ -43,7 +43,7 @@ impl<'a> Square<'a> {
     /// Random base stations over centres of cells, where grid and mesh have the same heights. The
     /// i-th depends on seed, tile and i alone, so two may stand at the same place. None for
     /// [`Placement::Roof`] where there is no roof.
-    pub(super) fn random(&self, config: &SceneConfig) -> Vec<SceneStation> {
+    pub(super) fn random(&self, config: &SceneConfig, rx_height_m: f64) -> Vec<SceneStation> {
         let cells = self.window.cells;
         let cells: Vec<usize> = match config.placement {
             Placement::Roof => {
@@ -64,6 +64,7 @@ impl<'a> Square<'a> {
             let place = self.center_of(cell);
             let roof = self.roof(place);
             let z = roof.map_or(config.ground_height_m, |roof| roof + config.height_above_m);
+            let z = if z > rx_height_m { z } else { config.ground_height_m };
             self.station(place, z, roof.is_some(), None)
         };
         (0..config.base_stations).map(station).collect()
@@ -71,8 +72,8 @@ impl<'a> Square<'a> {
 
     /// The sites of a file (places in metres of the projection), in their order. Nothing stands
     /// inside of a building: where the mesh or the grid says that a site would, it is raised over
-    /// the roof. Nor does one stand at the receivers' height or below it: it is raised to where
-    /// others on the ground stand.
+    /// the roof. Nor does one stand at the receivers' height or below it, be it on a low roof: it is
+    /// raised to where others on the ground stand.
     pub(super) fn of_sites<'s>(
         &self,
         sites: impl IntoIterator<Item = &'s ([f64; 2], Site)>,
@@ -94,9 +95,11 @@ impl<'a> Square<'a> {
                 }
                 _ => (height, false, height > told),
             };
-            placed.raised += u64::from(raised);
+            let low = z <= rx_height_m;
+            let (z, raised) = if low { (config.ground_height_m, true) } else { (z, raised) };
             let station = self.station(*place, z, on_building, site.name.clone());
             if taken.insert(station.position_m.map(f64::to_bits)) {
+                placed.raised += u64::from(raised);
                 placed.stations.push(station);
             } else {
                 placed.repeated += 1;
@@ -202,7 +205,7 @@ mod tests {
     }
 
     fn random(config: &SceneConfig) -> Vec<SceneStation> {
-        with_square(&buildings(), tile(), |square| square.random(config))
+        with_square(&buildings(), tile(), |square| square.random(config, 2.0))
     }
 
     fn config(placement: Placement, base_stations: u32) -> SceneConfig {
@@ -245,7 +248,7 @@ mod tests {
         );
         let canopy = buildings().split_off(1);
         let roof = config(Placement::Roof, 1);
-        assert_eq!(with_square(&canopy, tile(), |square| square.random(&roof)), []);
+        assert_eq!(with_square(&canopy, tile(), |square| square.random(&roof, 2.0)), []);
     }
 
     #[test]
@@ -255,7 +258,7 @@ mod tests {
         assert_ne!(five, random(&SceneConfig { seed: 1, ..config(Placement::Any, 5) }));
         let east: TileId = "utm10n_e500020_n4000000".parse().expect("an id");
         let any = config(Placement::Any, 5);
-        let there = with_square(&[], east, |square| square.random(&any));
+        let there = with_square(&[], east, |square| square.random(&any, 2.0));
         let places = |stations: &[SceneStation]| -> Vec<f64> {
             stations.iter().map(|station| station.position_m[0]).collect()
         };

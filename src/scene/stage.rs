@@ -321,14 +321,15 @@ fn build_scene(
     let solids: Vec<&Solid> = meeting.into_iter().map(|at| &context.solids[at]).collect();
     let heights = context.heights.rasterise(id);
     let square = Square::new(id, &heights, grid.cell_m, &solids);
+    let rx_height_m = context.config.buildings.flight_height_m;
     let Placed { stations, repeated, raised } = match scene.placement {
         Placement::File => {
             let bounds = id.square(context.map_size_m.into());
             let here = context.sites.iter().filter(|(place, _)| holds(&bounds, *place));
-            square.of_sites(here, scene, context.config.buildings.flight_height_m)
+            square.of_sites(here, scene, rx_height_m)
         }
         Placement::Any | Placement::Roof => {
-            Placed { stations: square.random(scene), ..Placed::default() }
+            Placed { stations: square.random(scene, rx_height_m), ..Placed::default() }
         }
     };
     let outcome = |entry| Outcome { id, entry, repeated, raised };

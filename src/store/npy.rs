@@ -203,6 +203,20 @@ impl Npy<'_> {
         }
     }
 
+    /// One value as float64, by its place in the order of the file; text has none.
+    #[must_use]
+    pub fn value_f64(&self, index: usize) -> Option<f64> {
+        let size = self.dtype.size();
+        let bytes = self.data.get(index.checked_mul(size)?..)?.get(..size)?;
+        match self.dtype {
+            DType::Float16 => Some(f16::decode(bytes, self.big_endian).to_f64()),
+            DType::Float32 => Some(f32::decode(bytes, self.big_endian).into()),
+            DType::Float64 => Some(f64::decode(bytes, self.big_endian)),
+            DType::UInt8 => bytes.first().map(|&byte| byte.into()),
+            DType::Bytes(_) | DType::Unicode(_) => None,
+        }
+    }
+
     /// The text of an array of `uint8`, or of a single NumPy string, as UTF-8.
     #[must_use]
     pub fn text(&self) -> Option<Vec<u8>> {
