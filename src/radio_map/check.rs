@@ -41,6 +41,12 @@ pub(super) struct Geometry {
     pub(super) cells: usize,
 }
 
+/// So many decimals: what is beyond them is chance.
+pub(super) fn rounded(value: f64, decimals: i32) -> f64 {
+    let scale = 10.0_f64.powi(decimals);
+    (value * scale).round() / scale
+}
+
 fn whole(value: f64) -> Option<usize> {
     let rounded = value.round();
     ((value - rounded).abs() <= WHOLE_TOLERANCE * rounded.max(1.0)).then_some(rounded as usize)

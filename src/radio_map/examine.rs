@@ -6,7 +6,7 @@ use std::path::Path;
 use ndarray::{Array2, s};
 
 use super::align::{AlignedMap, align};
-use super::check::{self, Geometry};
+use super::check::{self, Geometry, rounded};
 use super::convert::{power_per_re, to_rsrp};
 use super::free_space::{Comparison, FreeSpace};
 use super::load::{Described, load_values};
@@ -167,12 +167,6 @@ pub(super) fn examine(
         expected_rays: rounded(rays, 3),
     };
     Ok(Examined { meta, map: aligned, quality, warnings })
-}
-
-/// So many decimals: what is beyond them is chance.
-fn rounded(value: f64, decimals: i32) -> f64 {
-    let scale = 10.0_f64.powi(decimals);
-    (value * scale).round() / scale
 }
 
 fn strict(warning: &MapWarning) -> Rejection {

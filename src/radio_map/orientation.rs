@@ -14,6 +14,7 @@
 
 use ndarray::{Array2, ArrayView2, Zip, s};
 
+use super::check::rounded;
 use super::metadata::{RadioMapMetadata, RowOrder};
 use super::rejection::{Rejection, RejectionCode};
 use super::window::{Surroundings, Window};
@@ -42,6 +43,8 @@ const LEAST_AGREEMENT_REFRACTION: f64 = 0.1;
 const MARGIN_TILE: f64 = 0.1;
 /// A smaller lead of the declared way over all flips is worth a warning.
 const CLEAR_LEAD: f64 = 0.05;
+/// Decimals of figures for people.
+const DECIMALS: i32 = 4;
 /// Where fewer cells are without path than this share of the built ones, refraction filled them.
 const MOST_FILLED: f64 = 0.5;
 /// With a larger share of unreached outdoor cells there is too little to decide by.
@@ -75,7 +78,7 @@ impl Flip {
         view
     }
 
-    /// What was done to the map, in the words of NumPy.
+    /// What mends the map, in the words of NumPy.
     fn words(self) -> String {
         let steps = [
             (self.transposed, "transposed (.T)"),
@@ -225,9 +228,9 @@ impl Placement {
         let lead = declared.correlation() - flipped.correlation();
         let score = OrientationScore {
             evidence: self.evidence,
-            correlation: rounded(declared.correlation()),
-            agreement: self.agreement(&declared).map(rounded),
-            lead: rounded(lead),
+            correlation: rounded(declared.correlation(), DECIMALS),
+            agreement: self.agreement(&declared).map(|share| rounded(share, DECIMALS)),
+            lead: rounded(lead, DECIMALS),
         };
         let [_, unreached] = declared.means();
         let hidden = self.evidence == Evidence::NoPath && unreached > MOST_UNREACHED;
@@ -350,10 +353,6 @@ fn best<T: Default>(candidates: impl Iterator<Item = (T, Sums)>) -> (T, Sums) {
         }
     }
     best
-}
-
-fn rounded(value: f64) -> f64 {
-    (value * 1e4).round() / 1e4
 }
 
 fn wrong_tile(score: &OrientationScore, tile: TileId, other: &Sums) -> Rejection {

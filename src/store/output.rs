@@ -7,7 +7,7 @@
 //! The manifest is written last and the journal removed after it, so a directory with a
 //! manifest is whole.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -177,7 +177,9 @@ impl OutputDir {
             journal.set_len(0).map_err(in_journal("write"))?;
             write_line(&mut journal, &plan).map_err(in_journal("write"))?;
         }
-        remove_finished(root)?;
+        let kept =
+            earlier.values().flat_map(|line| line.files.iter().map(|(name, _)| name.as_str()));
+        remove_finished(root, &kept.collect())?;
         Ok(Self {
             root: root.to_owned(),
             journal: Mutex::new(journal),
@@ -343,12 +345,14 @@ fn write_line(journal: &mut File, line: &impl Serialize) -> std::io::Result<()> 
 }
 
 /// Removes a finished output: the manifest first, so that nobody takes the rest for whole,
-/// and the list of its files last, so that an interrupted removal can go on.
-fn remove_finished(root: &Path) -> Result<(), FileError> {
+/// and the list of its files last, so that an interrupted removal can go on. What an interrupted
+/// run has finished is kept: it may have been killed between the list and the manifest.
+fn remove_finished(root: &Path, kept: &HashSet<&str>) -> Result<(), FileError> {
     remove_if_there(&root.join(MANIFEST))?;
     if let Ok(sums) = std::fs::read_to_string(root.join(SUMS)) {
         let listed = parse_sums(&sums).unwrap_or_default();
-        remove_inside(root, listed.into_iter().map(|(_, name)| name.to_owned()))?;
+        let gone = listed.into_iter().map(|(_, name)| name).filter(|name| !kept.contains(name));
+        remove_inside(root, gone.map(str::to_owned))?;
         remove_if_there(&root.join(SUMS))?;
     }
     Ok(())
@@ -444,6 +448,22 @@ mod tests {
         assert_eq!(resumed.finished::<i32>("b"), None);
         std::fs::write(dir.path().join("a.bin"), b"B").expect("damaged");
         assert_eq!(resumed.finished::<i32>("a"), None);
+    }
+
+    /// Killed between the list of files and the manifest, a run loses nothing that it finished.
+    #[test]
+    fn what_a_run_has_finished_outlives_the_list_of_its_files() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let output = begin(dir.path(), "abc", false).expect("begun");
+        fill(&output);
+        output.write("table.csv", b"1").expect("written");
+        drop(output);
+        let line = |name: &str| format!("{}  {name}\n", "0".repeat(64));
+        let sums = [line("a.bin"), line("table.csv")].concat();
+        std::fs::write(dir.path().join(SUMS), sums).expect("written");
+        let resumed = begin(dir.path(), "abc", false).expect("resumed");
+        assert_eq!(resumed.finished::<i32>("a"), Some(7));
+        assert!(!dir.path().join("table.csv").exists(), "written again in the end");
     }
 
     #[test]
