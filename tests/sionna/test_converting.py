@@ -15,7 +15,6 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
-from hand_scene import prism, write_scene
 
 ROOT = Path(__file__).parents[2]
 HELSINKI = ROOT / "fixtures/helsinki"
@@ -72,21 +71,39 @@ def test_a_converted_map_is_imported_as_the_original_is(name: str, tiles: Path, 
 
 
 def test_a_map_of_ones_own_script_is_imported(tiles: Path, tmp_path: Path) -> None:
-    write_scene(tmp_path / "scene", [], [prism([(20, 40), (80, 40), (80, 60), (20, 60)], 20.0)], side_m=1080.0)
+    """With metadata of its own, and without any by what the document tells to assume."""
+    scenes = tmp_path / "scenes"
+    holescout("scenes", "--osm", HELSINKI / "helsinki.osm.pbf", "--tiles", tiles, "--out", scenes, "--placement", "roof")
+    position = json.loads((scenes / TILE / "scene.json").read_text())["base_stations"][0]["position_m"]
     prepare = f"""
 import sys
 sys.path.insert(0, {str(ROOT / "pipeline")!r})
 from sionna_trace import start_sionna
 start_sionna(None)
 from sionna.rt import PlanarArray, Transmitter, load_scene
-scene = load_scene({str(tmp_path / "scene/scene.xml")!r})
+scene = load_scene({str(scenes / TILE / "scene.xml")!r})
+scene.frequency = 3.5e9
 scene.tx_array = PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
-scene.add(Transmitter("tx", position=[-50.0, 70.0, 25.0]))
+scene.rx_array = scene.tx_array
+scene.add(Transmitter("tx", position={position}))
 """
     run(tmp_path, prepare + SNIPPETS["scene"])
-    assert imported(tmp_path / "maps", tiles, tmp_path / "rsrp").shape == (121, 121)
+    rsrp = imported(tmp_path / "maps", tiles, tmp_path / "rsrp")
+    assert rsrp.shape == (121, 121)
     with np.load(tmp_path / f"maps/{TILE}.npz") as archive:
-        assert json.loads(archive["meta_json"].tobytes())["tx_position_m"] == [-50.0, 70.0, 25.0]
+        path_gain, told = archive["path_gain"], json.loads(archive["meta_json"].tobytes())
+    assert np.allclose(told["tx_position_m"], position)
+
+    (tmp_path / "bare").mkdir()
+    np.savez(tmp_path / f"bare/{TILE}.npz", path_gain=path_gain)
+    assumed = re.search(r"```toml\n(.*?)```", (ROOT / "docs/CONVERTING.md").read_text(), re.DOTALL)
+    (tmp_path / "assumed.toml").write_text((HELSINKI / "holescout.toml").read_text() + "\n" + assumed[1])
+    binary = os.environ["HOLESCOUT"]
+    command = [binary, "import-rsrp", "--preset", "sionna", "--scenes", scenes, "--config", tmp_path / "assumed.toml",
+               "--maps", tmp_path / "bare", "--tiles", tiles, "--out", tmp_path / "bare_rsrp"]
+    subprocess.run(list(map(str, command)), check=True)
+    with np.load(tmp_path / f"bare_rsrp/{TILE}.npz") as archive:
+        assert np.array_equal(archive["rsrp_dbm"], rsrp)
 
 
 def test_every_snippet_is_run() -> None:
