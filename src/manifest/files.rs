@@ -6,10 +6,12 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 use serde::de::DeserializeOwned;
 
-use super::{MapEntry, RsrpMeta, TileEntry, TileMeta, Verdict};
+use super::{MapEntry, RsrpMeta, SceneEntry, SceneMeta, TileEntry, TileMeta, Verdict};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
-use crate::store::{Digest, Element, NpyError, NpzError, NpzReader, read_npy, sha256_file};
+use crate::store::{
+    Digest, Element, NpyError, NpzError, NpzReader, read_npy, sha256_bytes, sha256_file,
+};
 
 /// No array of ours is larger, unpacked.
 const MAX_ARRAY: u64 = 1 << 31;
@@ -103,6 +105,39 @@ impl RsrpFile {
             meta: arrays.meta()?,
         })
     }
+}
+
+/// The content of one of a scene's files, checked against the scene's entry.
+///
+/// # Errors
+/// [`StageFileError`] names the file and what differs.
+pub fn read_scene_file(
+    directory: &Path,
+    entry: &SceneEntry,
+    name: &str,
+) -> Result<Vec<u8>, StageFileError> {
+    let file = format!("{}/{name}", entry.id);
+    let path = directory.join(&file);
+    let Some(listed) = entry.files.iter().find(|listed| listed.file == file) else {
+        return Err(invalid(&path, &"not in the manifest"));
+    };
+    let bytes = std::fs::read(&path).map_err(FileError::new("read", &path))?;
+    let found = sha256_bytes(&bytes);
+    if found != listed.digest {
+        return Err(StageFileError::Changed { path, expected: listed.digest.clone(), found });
+    }
+    Ok(bytes)
+}
+
+/// The description of a scene, checked against the scene's entry.
+///
+/// # Errors
+/// [`StageFileError`] names the file and what differs.
+pub fn read_scene_meta(directory: &Path, entry: &SceneEntry) -> Result<SceneMeta, StageFileError> {
+    const NAME: &str = "scene.json";
+    let json = read_scene_file(directory, entry, NAME)?;
+    let path = || directory.join(entry.id.to_string()).join(NAME);
+    serde_json::from_slice(&json).map_err(|error| invalid(&path(), &error))
 }
 
 struct Arrays {

@@ -17,7 +17,9 @@ pub use dataset::{
     DatasetConfig, DatasetManifest, Dropped, IndexEntry, RsrpHistogram, ShardEntry, SplitStatistics,
 };
 pub use evaluation::EvaluationManifest;
-pub use files::{RsrpFile, StageFileError, TileFile, dropped_tiles};
+pub use files::{
+    RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,
+};
 pub use policy::PolicyManifest;
 pub use rsrp::{
     BaseStation, Evidence, MapEntry, MapQuality, MapWarning, MaskCounts, OrientationScore, Radio,

@@ -7,10 +7,8 @@ use serde_json::{Value, json};
 
 use super::metadata::{Object, is_given};
 use crate::config::Preset;
-use crate::error::FileError;
 use crate::grid::TileId;
-use crate::manifest::{SceneEntry, SceneFile, SceneMeta, ScenesManifest, StageFileError};
-use crate::store::sha256_bytes;
+use crate::manifest::{SceneEntry, ScenesManifest, StageFileError, read_scene_meta};
 
 /// What is put where metadata have no value. What is written always counts more.
 #[derive(Debug, Clone, Copy, Default)]
@@ -125,17 +123,7 @@ pub(super) fn scene_facts(
     manifest: &ScenesManifest,
 ) -> Result<BTreeMap<TileId, Object>, StageFileError> {
     let facts = |entry: &SceneEntry| {
-        let file = entry.files.iter().find(|file| file.file.ends_with("scene.json"));
-        let Some(SceneFile { file, digest: expected }) = file else { return Ok(None) };
-        let path = directory.join(file);
-        let text = std::fs::read(&path).map_err(FileError::new("read", &path))?;
-        let found = sha256_bytes(&text);
-        if found != *expected {
-            return Err(StageFileError::Changed { path, expected: expected.clone(), found });
-        }
-        let scene: SceneMeta = serde_json::from_slice(&text).map_err(|error| {
-            StageFileError::Invalid { path: path.clone(), reason: error.to_string() }
-        })?;
+        let scene = read_scene_meta(directory, entry)?;
         let positions: Vec<[f64; 3]> =
             scene.base_stations.iter().map(|station| station.position_m).collect();
         let position = match positions[..] {
@@ -144,9 +132,9 @@ pub(super) fn scene_facts(
         };
         let facts = [("tx_position_m", position), ("rx_height_m", json!(scene.rx_height_m))];
         let facts = facts.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
-        Ok(Some((entry.id, facts)))
+        Ok((entry.id, facts))
     };
-    manifest.scenes.iter().filter_map(|entry| facts(entry).transpose()).collect()
+    manifest.scenes.iter().map(facts).collect()
 }
 
 /// The tile that a file is named after: `<tile>.npy`, or `<tile>_<anything>.npy`.

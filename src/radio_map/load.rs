@@ -188,17 +188,15 @@ fn archive_metadata<R: Read + Seek>(archive: &mut NpzReader<R>) -> Result<Vec<u8
 /// The `.json` of the same name, if there is one.
 fn read_sidecar(path: &Path) -> Result<Option<Vec<u8>>, Rejection> {
     let path = path.with_extension("json");
-    match path.try_exists() {
-        Ok(true) => match path.metadata().map(|metadata| metadata.len()) {
-            Ok(size) if size > MAX_METADATA => Err(Rejection::new(
-                RejectionCode::TooLarge,
-                format!("metadata of at most {MAX_METADATA} bytes"),
-                format!("{size} bytes beside the map"),
-                "leave out what schema radio_map.v1 does not name",
-            )),
-            _ => read_limited(&path, MAX_METADATA).map(Some),
-        },
-        Ok(false) => Ok(None),
+    match path.metadata().map(|metadata| metadata.len()) {
+        Ok(size) if size > MAX_METADATA => Err(Rejection::new(
+            RejectionCode::TooLarge,
+            format!("metadata of at most {MAX_METADATA} bytes"),
+            format!("{size} bytes beside the map"),
+            "leave out what schema radio_map.v1 does not name",
+        )),
+        Ok(_) => std::fs::read(path).map(Some).map_err(|error| unreadable(&error)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(unreadable(&error)),
     }
 }

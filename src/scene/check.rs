@@ -4,8 +4,7 @@ use std::path::Path;
 
 use super::mesh::{Mesh, read_ply};
 use super::xml::{BUILDINGS, GROUND};
-use crate::manifest::{SceneEntry, SceneMeta};
-use crate::store::sha256_bytes;
+use crate::manifest::{SceneEntry, SceneMeta, read_scene_file, read_scene_meta};
 
 /// Reads a scene of a directory: digests, description, counts, and that the buildings are closed.
 ///
@@ -13,9 +12,8 @@ use crate::store::sha256_bytes;
 /// What is wrong, in words, the file first.
 pub fn check_scene(directory: &Path, entry: &SceneEntry) -> Result<(), String> {
     let SceneMeta { id, base_stations, solids, triangles, .. } =
-        serde_json::from_slice(&file(directory, entry, "scene.json")?)
-            .map_err(|error| format!("scene.json: {error}"))?;
-    file(directory, entry, "scene.xml")?;
+        read_scene_meta(directory, entry).map_err(|error| error.to_string())?;
+    read_scene_file(directory, entry, "scene.xml").map_err(|error| error.to_string())?;
     let buildings = mesh(directory, entry, BUILDINGS)?;
     let ground = mesh(directory, entry, GROUND)?;
     let found = (id, base_stations.len(), solids, triangles);
@@ -35,20 +33,8 @@ pub fn check_scene(directory: &Path, entry: &SceneEntry) -> Result<(), String> {
 }
 
 fn mesh(directory: &Path, entry: &SceneEntry, name: &str) -> Result<Mesh, String> {
-    read_ply(&file(directory, entry, name)?).map_err(|error| format!("{name}: {error}"))
-}
-
-/// The content of one of a scene's files, as long as it is what the manifest says.
-fn file(directory: &Path, entry: &SceneEntry, name: &str) -> Result<Vec<u8>, String> {
-    let path = format!("{}/{name}", entry.id);
-    let listed = entry.files.iter().find(|listed| listed.file == path);
-    let listed = listed.ok_or_else(|| format!("{name}: not in the manifest"))?;
-    let bytes = std::fs::read(directory.join(&path)).map_err(|error| format!("{name}: {error}"))?;
-    let digest = sha256_bytes(&bytes);
-    demand(digest == listed.digest, || {
-        format!("{name}: is {digest}, the manifest says {}", listed.digest)
-    })?;
-    Ok(bytes)
+    let bytes = read_scene_file(directory, entry, name).map_err(|error| error.to_string())?;
+    read_ply(&bytes).map_err(|error| format!("{name}: {error}"))
 }
 
 fn demand(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), String> {

@@ -56,7 +56,7 @@ BAD_MAPS = {
 }
 
 # Mistakes that people make, the codes that name them, and the least share of San Jose's maps on which they must be found
-# and named so. A shift by one tile is another tile's map; where that tile is not among ours it fits none.
+# and named so. The next tile by name may lie too far away to be found: then its map fits none.
 MISTAKES = {
     "flipped": ({"wrong_orientation"}, 0.99),
     "transposed": ({"wrong_orientation"}, 0.99),
