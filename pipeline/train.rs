@@ -31,9 +31,10 @@ pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Resul
     need.demand()?;
     let val_maps = load_sample(&dataset, Split::Val, rl, how.evaluate_maps as usize, how.seed)?;
     let memory = how.map_memory_mb as usize * 1_000_000;
-    let maps = MapSource::split(&dataset, Split::Train, rl, memory, how.seed);
-    let digest = dataset.digest();
-    let job = TrainJob { dataset_sha256: &digest.sha256, rl, train: how, device };
+    let maps = MapSource::split(&dataset, Split::Train, rl, memory, how.seed)
+        .on_damage(how.on_damage);
+    let dataset_sha256 = &dataset.digest().sha256;
+    let job = TrainJob { dataset_sha256, rl, train: how, device };
     let stopped = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stopped)).map_err(Failure::running)?;
@@ -45,6 +46,9 @@ pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Resul
     let mut watch = Watching { console, config, judging, maps: &val_maps, stopped, need };
     let ended = train(job, maps, &args.run, &mut watch)?;
     console.end();
+    for (id, reason) in &ended.quarantined {
+        console.note(&format!("warning: {id} was left out: {reason}"));
+    }
     let state = if ended.complete { "done" } else { "saved, run again to go on" };
     let best = ended.best.map_or_else(String::new, |(score, update)| {
         format!("; best mean precision on the val split {:.1} % at update {update}", 100.0 * score)
@@ -52,9 +56,8 @@ pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Resul
     let text = format!("{} updates, {state}{best}\n", ended.updates);
     let summary = json!({
         "stage": "train",
-        "updates": ended.updates,
-        "complete": ended.complete,
-        "best": ended.best,
+        "updates": ended.updates, "complete": ended.complete, "best": ended.best,
+        "quarantined": ended.quarantined.len(),
     });
     Report::new(text, &summary)
 }

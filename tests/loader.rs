@@ -12,8 +12,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock, mpsc};
 use std::time::{Duration, Instant};
 
-use holescout::config::Split;
-use holescout::dataset::{Dataset, Grids, Loader, LoaderError, LoaderOptions, Order, Record};
+use holescout::config::{OnDamage, Split};
+use holescout::dataset::{
+    Dataset, Grids, Loader, LoaderError, LoaderOptions, Order, Record, Share,
+};
 use holescout::error::{Fault, HasFault};
 use holescout::grid::TileId;
 use holescout::store::SeekTable;
@@ -37,7 +39,8 @@ fn open(root: &Path) -> Arc<Dataset> {
 }
 
 fn options(threads: usize, memory_bytes: usize) -> LoaderOptions {
-    LoaderOptions { seed: SEED, threads: NonZero::new(threads).expect("threads"), memory_bytes }
+    let threads = NonZero::new(threads).expect("threads");
+    LoaderOptions { threads, memory_bytes, keep: false, ..LoaderOptions::new(SEED) }
 }
 
 /// What tells whether a record and all of its values are those that they should be.
@@ -63,14 +66,22 @@ fn records(split: Split) -> Vec<TileId> {
     ids.into_iter().filter(|(_, of)| *of == split).map(|(id, _)| id).collect()
 }
 
-fn order(split: Split) -> Order {
-    let records = records(split).len() as u32;
-    Order::new(SEED, NonZero::new(records).expect("records"))
+/// The records of a split as shards have them.
+fn stored(split: Split) -> Vec<TileId> {
+    open(&DATASET).shards_of(split).into_iter().flat_map(|(_, ids)| ids).collect()
+}
+
+/// Which record comes at a cursor, from the order and the shards alone.
+fn expected(split: Split) -> impl Fn(u64) -> TileId {
+    let stored = stored(split);
+    let order = Order::new(SEED, NonZero::new(stored.len() as u32).expect("records"));
+    move |cursor| stored[order.at(cursor).1 as usize]
 }
 
 #[test]
 fn any_number_of_threads_gives_the_order_and_the_records_of_the_dataset() {
-    let (dataset, ids, order) = (open(&DATASET), records(Split::Train), order(Split::Train));
+    let (dataset, ids) = (open(&DATASET), records(Split::Train));
+    let wanted = expected(Split::Train);
     let shards = dataset.manifest().shards.iter().filter(|shard| shard.split == Split::Train);
     assert!(shards.count() > 2, "several shards");
     let count = 3 * ids.len() + 1;
@@ -80,8 +91,8 @@ fn any_number_of_threads_gives_the_order_and_the_records_of_the_dataset() {
         assert_eq!(loader.ids(), ids);
         let items = take(&mut loader, count);
         assert_eq!((items.len(), loader.cursor()), (count, count as u64));
-        for (expected, (cursor, number, (id, record, grids))) in (0..).zip(items) {
-            assert_eq!((cursor, number), (expected, order.at(cursor).1));
+        for (at, (cursor, number, (id, record, grids))) in (0..).zip(items) {
+            assert_eq!((cursor, id), (at, wanted(at)));
             assert_eq!(id, ids[number as usize]);
             let (same_record, same_grids) = dataset.record_with_grids(id).expect("read");
             assert!(record == same_record && grids == same_grids, "{id} differs");
@@ -108,22 +119,151 @@ fn every_epoch_has_every_record_once_and_an_order_of_its_own() {
     }
 }
 
+/// The ids of a loader's next items.
+fn next_ids(loader: &mut Loader<TileId>, count: usize) -> Vec<TileId> {
+    loader.take(count).map(|item| item.expect("sound").value).collect()
+}
+
+fn loader_of(options: LoaderOptions, cursor: u64) -> Loader<TileId> {
+    Loader::new(&open(&DATASET), Split::Train, options, cursor, |record, _| record.id)
+        .expect("begun")
+}
+
+/// A thousand interruptions: threads, memory, number of processes and whether records are kept
+/// change with each, the sequence does not.
 #[test]
-fn an_interrupted_sequence_is_continued_exactly() {
-    let uninterrupted = take(&mut train(1, PLENTY, 0), 300);
+fn interrupted_epochs_are_continued_exactly() {
+    let dataset = open(&DATASET);
+    let epoch = records(Split::Train).len();
     let mut random = Random(31);
-    let (mut pieces, mut interruptions, mut cursor) = (Vec::new(), 0, 0);
-    while pieces.len() < uninterrupted.len() {
-        let memory = [0, 1 << 20, PLENTY][random.below(3)];
-        let mut loader = train(1 + random.below(8), memory, cursor);
-        let count = random.below(12).min(uninterrupted.len() - pieces.len());
-        pieces.extend(take(&mut loader, count));
-        cursor = loader.cursor();
-        assert_eq!(cursor, pieces.len() as u64);
-        interruptions += 1;
+    let mut interruptions = 0;
+    for block in [None, NonZero::new(1), NonZero::new(2)] {
+        let of_block = LoaderOptions { block, ..options(1, PLENTY) };
+        let uninterrupted = next_ids(&mut loader_of(of_block, 0), 350 * epoch);
+        let mut sequence = Vec::new();
+        while sequence.len() < uninterrupted.len() {
+            let world = NonZero::new(1 + random.below(4) as u32).expect("processes");
+            let items = random.below(6);
+            let cursor = sequence.len() as u64;
+            let mut shares: Vec<Vec<TileId>> = Vec::new();
+            let mut cursors = Vec::new();
+            for rank in 0..world.get() {
+                let memory = [0, 1 << 20, PLENTY][random.below(3)];
+                let options = LoaderOptions {
+                    block,
+                    share: Share::of(rank, world).expect("a rank"),
+                    keep: random.below(2) == 0,
+                    ..options(1 + random.below(8), memory)
+                };
+                let decode = |record: Record, _| record.id;
+                // A cursor of the last round, as a checkpoint would keep it.
+                let loader = Loader::new(&dataset, Split::Train, options, cursor, decode);
+                let mut loader = loader.expect("begun");
+                shares.push(next_ids(&mut loader, items));
+                cursors.push(loader.cursor());
+            }
+            // Which rank comes first depends on the cursor.
+            let processes = world.get() as usize;
+            let ranks = (0..processes).map(|at| (cursor as usize + at) % processes);
+            let turns = (0..items).flat_map(|item| ranks.clone().map(move |rank| (rank, item)));
+            sequence.extend(turns.map(|(rank, item)| shares[rank][item]));
+            assert_eq!(cursors.into_iter().min(), Some(sequence.len() as u64));
+            interruptions += 1;
+        }
+        assert!(sequence.starts_with(&uninterrupted), "a continuation differs: {block:?}");
     }
-    assert!(interruptions > 40, "only {interruptions} interruptions");
-    assert!(pieces == uninterrupted, "a continuation differs");
+    assert!(interruptions >= 1000, "only {interruptions} interruptions");
+}
+
+/// Each process has its part of every epoch: nothing twice, nothing lost, sizes within one.
+#[test]
+fn processes_share_every_epoch() {
+    let ids = records(Split::Train);
+    for world in 1..=4_u32 {
+        let mut epochs: Vec<Vec<TileId>> = vec![Vec::new(); 3];
+        for rank in 0..world {
+            let share = Share::of(rank, NonZero::new(world).expect("processes"));
+            let share = share.expect("a rank");
+            let mut loader = loader_of(LoaderOptions { share, ..options(2, PLENTY) }, 0);
+            let mut sizes = [0; 3];
+            loop {
+                let (epoch, _) = loader.order().split(loader.cursor());
+                let Some(of_epoch) = epochs.get_mut(epoch as usize) else { break };
+                of_epoch.extend(next_ids(&mut loader, 1));
+                sizes[epoch as usize] += 1;
+            }
+            let even = ids.len() / world as usize;
+            assert!(sizes.iter().all(|size| (even..=even + 1).contains(size)), "{sizes:?}");
+        }
+        for mut epoch in epochs {
+            epoch.sort_unstable();
+            assert_eq!(epoch, ids, "{world} processes");
+        }
+    }
+    let world = NonZero::new(ids.len() as u32 + 1).expect("processes");
+    let share = Share::of(0, world).expect("a rank");
+    let options = LoaderOptions { share, ..options(1, PLENTY) };
+    let begun = Loader::new(&open(&DATASET), Split::Train, options, 0, |record, _| record.id);
+    assert_says(&begun.expect_err("too many").to_string(), &["8 records", "9 processes"]);
+}
+
+/// Records of a block come together, each once an epoch, in an order of each epoch's own.
+#[test]
+fn blocks_are_shuffled_one_after_the_other() {
+    let ids = records(Split::Train);
+    let shards: BTreeMap<TileId, String> = open(&DATASET)
+        .shards_of(Split::Train)
+        .into_iter()
+        .flat_map(|(shard, ids)| ids.into_iter().map(|id| (id, shard.file.clone())))
+        .collect();
+    let block = NonZero::new(2);
+    let mut loader = loader_of(LoaderOptions { block, ..options(3, PLENTY) }, 0);
+    let mut orders = BTreeSet::new();
+    for _ in 0..6 {
+        let epoch = next_ids(&mut loader, ids.len());
+        let mut sorted = epoch.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, ids);
+        // Two shards of two records each.
+        for of_block in epoch.chunks(4) {
+            let of_block: BTreeSet<&String> = of_block.iter().map(|id| &shards[id]).collect();
+            assert!(of_block.len() <= 2, "{of_block:?}");
+        }
+        orders.insert(epoch);
+    }
+    assert_eq!(orders.len(), 6, "epochs are alike");
+}
+
+#[test]
+fn a_split_that_fits_is_decoded_once() {
+    let decoded = Arc::new(AtomicUsize::new(0));
+    let ids = records(Split::Train);
+    for (memory_bytes, keep, wanted) in
+        [(PLENTY, true, ids.len()), (PLENTY, false, 5 * ids.len()), (1 << 20, true, 5 * ids.len())]
+    {
+        decoded.store(0, Ordering::SeqCst);
+        let counter = Arc::clone(&decoded);
+        let decode = move |record: Record, _: Grids| {
+            counter.fetch_add(1, Ordering::SeqCst);
+            Arc::new(record.id)
+        };
+        let options = LoaderOptions { keep, ..options(2, memory_bytes) };
+        let dataset = open(&DATASET);
+        let mut loader =
+            Loader::new(&dataset, Split::Train, options, 0, decode).expect("begun");
+        assert_eq!(loader.keeps(), wanted == ids.len());
+        let expected = expected(Split::Train);
+        for cursor in 0..5 * ids.len() as u64 {
+            let item = loader.next().expect("endless").expect("sound");
+            assert_eq!((item.cursor, *item.value), (cursor, expected(cursor)));
+            assert_eq!(loader.cursor(), cursor + 1);
+        }
+        let window = if loader.keeps() { 0 } else { loader.window().get() };
+        let decoded = decoded.load(Ordering::SeqCst);
+        // Of the first epoch two threads may decode a record of the second one at the same time.
+        let spare = if loader.keeps() { 2 } else { window };
+        assert!((wanted..=wanted + spare).contains(&decoded), "{decoded} decoded, not {wanted}");
+    }
 }
 
 /// Counts what is decoded and not yet dropped.
@@ -137,15 +277,15 @@ impl Drop for Live {
 
 #[test]
 fn memory_bounds_what_is_decoded_ahead() {
-    // Arrays of 9 bytes a cell, once as they are and once in a frame with its other fields.
-    let record = 2 * 121 * 121 * 9 + 10_000;
+    // Arrays of 9 bytes a cell, once as they are and once in a record with its other fields.
+    let record = 2 * 121 * 121 * 9 + (8 << 10);
     for (memory, window) in [(0, 1), (record - 20_000, 1), (record, 1), (5 * record, 5)] {
         let (live, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
         let decode = {
             let (live, most) = (Arc::clone(&live), Arc::clone(&most));
             move |_: Record, _: Grids| {
                 most.fetch_max(1 + live.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
-                Live(Arc::clone(&live))
+                Arc::new(Live(Arc::clone(&live)))
             }
         };
         let options = options(3, memory);
@@ -209,13 +349,13 @@ fn a_damaged_record_is_an_error_in_its_place_and_the_others_come() {
         .map(|entry| (entry.id, (&*entry.shard, entry.frame)))
         .collect();
 
-    let ids = records(Split::Train);
+    let (ids, wanted) = (records(Split::Train), expected(Split::Train));
     for threads in [1, 4] {
         let dataset = open(&root);
         let loader = Loader::new(&dataset, Split::Train, options(threads, PLENTY), 0, seen);
         let mut failed = 0;
         for (cursor, item) in (0..).zip(loader.expect("begun").take(2 * ids.len())) {
-            let id = ids[order(Split::Train).at(cursor).1 as usize];
+            let id = wanted(cursor);
             let (shard, frame) = places[&id];
             let is_damaged = shard == cut.file || (shard == flipped.file && frame == 0);
             match item {
@@ -236,6 +376,53 @@ fn a_damaged_record_is_an_error_in_its_place_and_the_others_come() {
 }
 
 #[test]
+fn damaged_records_are_left_out_in_quarantine() {
+    let (_dir, root, _) = copy_of(&DATASET);
+    let dataset = open(&root);
+    let shards = dataset.shards_of(Split::Train);
+    let ((flipped, of_flipped), (gone, of_gone)) = (&shards[0], &shards[1]);
+    damage_first_frame(&root.join(&flipped.file));
+    std::fs::remove_file(root.join(&gone.file)).expect("removed");
+    let damaged: BTreeSet<TileId> =
+        of_gone.iter().chain(&of_flipped[..1]).copied().collect();
+    let expected: Vec<TileId> = {
+        let wanted = expected(Split::Train);
+        let epochs = 0..3 * records(Split::Train).len() as u64;
+        epochs.map(wanted).filter(|id| !damaged.contains(id)).collect()
+    };
+    for threads in [1, 4] {
+        let on_damage = OnDamage::Quarantine;
+        let options = LoaderOptions { on_damage, ..options(threads, PLENTY) };
+        let loader = Loader::new(&dataset, Split::Train, options, 0, |record, _| record.id);
+        let mut loader = loader.expect("begun");
+        assert_eq!(next_ids(&mut loader, expected.len()), expected);
+        let quarantined = loader.quarantined();
+        assert!(quarantined.keys().eq(&damaged), "{quarantined:?}");
+        assert_says(&quarantined[&of_flipped[0]], &[&flipped.file, "frame 0"]);
+        assert_says(&quarantined[&of_gone[0]], &[&gone.file, "No such file"]);
+    }
+}
+
+/// A quarantine of everything is an error, not an endless search.
+#[test]
+fn a_split_without_a_sound_record_is_an_error() {
+    let (_dir, root, _) = copy_of(&DATASET);
+    let dataset = open(&root);
+    for (shard, _) in dataset.shards_of(Split::Train) {
+        write(&root.join(&shard.file), "no shard");
+    }
+    let on_damage = OnDamage::Quarantine;
+    let options = LoaderOptions { on_damage, ..options(2, PLENTY) };
+    let loader = Loader::new(&dataset, Split::Train, options, 0, |record, _| record.id);
+    let mut loader = loader.expect("begun");
+    for _ in 0..3 {
+        let error = loader.next().expect("endless").expect_err("nothing is left");
+        assert_says(&error.to_string(), &["train/shard-", "seek table"]);
+    }
+    assert_eq!(loader.quarantined().len(), records(Split::Train).len() - 1);
+}
+
+#[test]
 fn an_empty_split_is_refused() {
     let begun = Loader::new(&open(&DATASET), Split::Test, options(1, PLENTY), 0, seen);
     let error = begun.expect_err("the fixtures have no such split");
@@ -246,8 +433,8 @@ fn an_empty_split_is_refused() {
 
 #[test]
 fn a_panic_of_decode_reaches_the_consumer_in_its_place() {
-    let (ids, order) = (records(Split::Train), order(Split::Train));
-    let unlucky = ids[order.at(3).1 as usize];
+    let (ids, wanted) = (records(Split::Train), expected(Split::Train));
+    let unlucky = wanted(3);
     let decode = move |record: Record, _: Grids| {
         assert!(record.id != unlucky, "cannot stand {unlucky}");
         record.id
@@ -256,7 +443,7 @@ fn a_panic_of_decode_reaches_the_consumer_in_its_place() {
     let mut loader = Loader::new(&open(&DATASET), Split::Train, options, 0, decode).expect("begun");
     let mut panics = 0;
     for cursor in 0..2 * ids.len() as u64 {
-        let expected = ids[order.at(cursor).1 as usize];
+        let expected = wanted(cursor);
         match catch_unwind(AssertUnwindSafe(|| loader.next())) {
             Ok(item) => assert_eq!(item.expect("endless").expect("sound").value, expected),
             Err(panic) => {

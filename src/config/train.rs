@@ -27,6 +27,18 @@ pub enum Loss {
     Huber,
 }
 
+/// What becomes of a record that cannot be read: a damaged frame, a shard that is missing or cut.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OnDamage {
+    /// It is an error.
+    #[default]
+    Error,
+    /// It is left out, counted and reported. What another try may mend (a network that fails, a
+    /// permission) stays an error.
+    Quarantine,
+}
+
 /// `[train]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -96,6 +108,8 @@ pub struct TrainConfig {
     pub map_memory_mb: u32,
     /// Steps of all episodes after which one map is replaced then.
     pub refresh_every: u32,
+    /// What becomes of maps that cannot be read.
+    pub on_damage: OnDamage,
     /// Updates after which a checkpoint is written.
     pub checkpoint_every: u64,
     /// Updates after which the policy is judged on the validation split.
@@ -140,6 +154,7 @@ impl Default for TrainConfig {
             precision: Precision::Auto,
             map_memory_mb: 2048,
             refresh_every: 8,
+            on_damage: OnDamage::Error,
             checkpoint_every: 1000,
             evaluate_every: 1000,
             evaluate_maps: 100,

@@ -10,6 +10,7 @@ mod loader;
 mod read;
 mod record;
 mod render;
+mod shard;
 mod split;
 mod stage;
 mod statistics;
@@ -17,7 +18,7 @@ mod verify;
 mod view;
 
 pub use downsample::{downsample_heights, downsample_rsrp};
-pub use loader::{Loaded, Loader, LoaderError, LoaderOptions, Order};
+pub use loader::{Epoch, Loaded, Loader, LoaderError, LoaderOptions, Order, Share};
 pub use read::{Dataset, ReadError};
 #[cfg(test)]
 pub(crate) use record::tests::example;

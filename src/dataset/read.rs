@@ -1,14 +1,15 @@
 //! Reading a dataset's records, by name or one after the other.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::record::{Grids, Record, RecordError};
+use super::shard::ShardReader;
 use crate::config::Split;
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
-use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, load};
-use crate::store::{Digest, SeekError, SeekTable};
+use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, ShardEntry, load};
+use crate::store::{Digest, MANIFEST, SUMS, SeekError, parse_sums};
 
 /// Why a record cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +62,7 @@ impl HasFault for ReadError {
     }
 }
 
-/// A dataset on disk.
+/// A dataset that is open for reading.
 #[derive(Debug)]
 pub struct Dataset {
     root: PathBuf,
@@ -71,12 +72,20 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Opens a dataset by its manifest.
+    /// Opens a dataset by its manifest, whose SHA-256 must be that in `SHA256SUMS`.
     ///
     /// # Errors
     /// [`ReadError::Manifest`], also for a build that was interrupted.
     pub fn open(root: &Path) -> Result<Self, ReadError> {
         let (manifest, digest) = load::<DatasetManifest>(root, "shard", DatasetManifest::SCHEMA)?;
+        let sums = root.join(SUMS);
+        let sums = std::fs::read_to_string(&sums).map_err(FileError::new("read", &sums));
+        let sums = sums.map_err(ManifestError::File)?;
+        check(&manifest, &digest, &sums).map_err(|reason| ManifestError::Invalid {
+            path: root.join(MANIFEST),
+            reason,
+            stage: "shard",
+        })?;
         let index = manifest.records.iter().map(|entry| (entry.id, entry.clone())).collect();
         Ok(Self { root: root.to_owned(), manifest, digest, index })
     }
@@ -93,19 +102,19 @@ impl Dataset {
         &self.digest
     }
 
+    /// Where the dataset lies.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// The records with their splits, in the order of their names.
     #[must_use]
     pub fn ids(&self) -> Vec<(TileId, Split)> {
         let shards = self.manifest.shards.iter().map(|shard| (&*shard.file, shard.split));
         let splits: BTreeMap<&str, Split> = shards.collect();
         let records = self.manifest.records.iter();
-        records.filter_map(|record| Some((record.id, *splits.get(&*record.shard)?))).collect()
-    }
-
-    /// Where the dataset lies.
-    #[must_use]
-    pub fn root(&self) -> &Path {
-        &self.root
+        records.map(|record| (record.id, splits[&*record.shard])).collect()
     }
 
     /// The records of a split, in the order of their names.
@@ -114,13 +123,24 @@ impl Dataset {
         self.ids().into_iter().filter(|&(_, of)| of == split).map(|(id, _)| id).collect()
     }
 
+    /// The shards of a split in the order of the manifest, each with its records in their order.
+    #[must_use]
+    pub fn shards_of(&self, split: Split) -> Vec<(&ShardEntry, Vec<TileId>)> {
+        let mut frames: BTreeMap<&str, BTreeMap<u32, TileId>> = BTreeMap::new();
+        for IndexEntry { id, shard, frame } in &self.manifest.records {
+            frames.entry(shard).or_default().insert(*frame, *id);
+        }
+        let shards = self.manifest.shards.iter().filter(|shard| shard.split == split);
+        let mut ids = |shard: &ShardEntry| frames.remove(&*shard.file).unwrap_or_default();
+        shards.map(|shard| (shard, ids(shard).into_values().collect())).collect()
+    }
+
     /// Reads the record of a tile; the frame's checksum is verified.
     ///
     /// # Errors
     /// [`ReadError`] names file and frame.
     pub fn record(&self, id: TileId) -> Result<Record, ReadError> {
-        let entry = self.entry(id)?;
-        self.open_shard(&entry.shard)?.record(entry.frame as usize)
+        Ok(self.record_with_grids(id)?.0)
     }
 
     /// Reads the record of a tile with its arrays, whose values are checked.
@@ -129,8 +149,7 @@ impl Dataset {
     /// [`ReadError`] names file and frame.
     pub fn record_with_grids(&self, id: TileId) -> Result<(Record, Grids), ReadError> {
         let entry = self.entry(id)?;
-        let mut shard = self.open_shard(&entry.shard)?;
-        shard.record_with_grids(entry.frame as usize, self.manifest.cells as usize)
+        self.read(&mut self.open_shard(&entry.shard)?, entry)
     }
 
     /// All records of a shard, one after the other.
@@ -142,7 +161,7 @@ impl Dataset {
         file: &str,
     ) -> Result<impl Iterator<Item = Result<Record, ReadError>> + use<>, ReadError> {
         let mut reader = self.open_shard(file)?;
-        Ok((0..reader.table.len()).map(move |frame| reader.record(frame)))
+        Ok((0..reader.len()).map(move |frame| reader.record(frame)))
     }
 
     /// Where the record of a tile is.
@@ -158,61 +177,45 @@ impl Dataset {
     pub(super) fn open_shard(&self, file: &str) -> Result<ShardReader, ReadError> {
         ShardReader::open(&self.root.join(file))
     }
-}
 
-/// One open shard.
-pub(super) struct ShardReader {
-    path: PathBuf,
-    file: std::fs::File,
-    table: SeekTable,
-}
-
-impl ShardReader {
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let failed = |source| ReadError::Shard { shard: path.to_owned(), source };
-        let (file, table) = SeekTable::open(path).map_err(|error| match error {
-            SeekError::Io(source) => {
-                let named = FileError::new("read", path)(source);
-                failed(SeekError::Io(std::io::Error::other(named)))
-            }
-            other => failed(other),
-        })?;
-        Ok(Self { path: path.to_owned(), file, table })
-    }
-
-    pub(super) fn len(&self) -> usize {
-        self.table.len()
-    }
-
-    /// Bytes that the largest frame unpacks to.
-    pub(super) fn largest_frame(&self) -> usize {
-        self.table.largest_frame()
-    }
-
-    /// A record with its arrays, `[cells, cells]`, whose values are checked.
-    pub(super) fn record_with_grids(
-        &mut self,
-        frame: usize,
-        cells: usize,
+    /// Reads a record that an open shard has, and makes sure that it is the one that the index
+    /// names.
+    pub(super) fn read(
+        &self,
+        shard: &mut ShardReader,
+        entry: &IndexEntry,
     ) -> Result<(Record, Grids), ReadError> {
-        let record = self.record(frame)?;
-        let grids = record.sound_grids(cells).map_err(|source| ReadError::Record {
-            shard: self.path.clone(),
-            frame,
-            source,
-        })?;
-        Ok((record, grids))
+        let frame = entry.frame as usize;
+        let read = shard.record_with_grids(frame, self.manifest.cells as usize)?;
+        if read.0.id == entry.id {
+            return Ok(read);
+        }
+        let (found, expected) = (read.0.id.to_string(), format!("{}, as in the index", entry.id));
+        let source = RecordError::Value { field: "id", found, expected };
+        Err(ReadError::Record { shard: self.root.join(&entry.shard), frame, source })
     }
+}
 
-    pub(super) fn record(&mut self, frame: usize) -> Result<Record, ReadError> {
-        let bytes = self
-            .table
-            .frame(&mut self.file, frame)
-            .map_err(|source| ReadError::Shard { shard: self.path.clone(), source })?;
-        Record::decode(&bytes).map_err(|source| ReadError::Record {
-            shard: self.path.clone(),
-            frame,
-            source,
-        })
+/// The manifest is the one that the list of checksums names, and its index names every frame of
+/// every shard once.
+fn check<'a>(manifest: &'a DatasetManifest, digest: &Digest, sums: &str) -> Result<(), String> {
+    let sums = parse_sums(sums).map_err(|line| format!("{SUMS} has a damaged line: {line:?}"))?;
+    let listed = sums.iter().find(|(_, file)| *file == MANIFEST).map(|(sha256, _)| *sha256);
+    if listed != Some(&*digest.sha256) {
+        let (found, listed) = (&digest.sha256, listed.unwrap_or("nothing"));
+        return Err(format!("SHA-256 is {found}, {SUMS} says {listed}: one of them was changed"));
     }
+    let promised: u64 = manifest.shards.iter().map(|shard| u64::from(shard.records)).sum();
+    let indexed = manifest.records.len() as u64;
+    if promised != indexed {
+        return Err(format!("its shards have {promised} records, its index {indexed}"));
+    }
+    let frames = |shard: &'a ShardEntry| (0..shard.records).map(|frame| (&*shard.file, frame));
+    let mut frames: BTreeSet<(&str, u32)> = manifest.shards.iter().flat_map(frames).collect();
+    for IndexEntry { id, shard, frame } in &manifest.records {
+        if !frames.remove(&(&**shard, *frame)) {
+            return Err(format!("frame {frame} of {shard} for {id} is not there, or taken"));
+        }
+    }
+    Ok(())
 }

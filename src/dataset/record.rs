@@ -1,7 +1,7 @@
 //! One record: a MessagePack map with named fields; its arrays are `.npy` files as byte
 //! strings, so that element type and shape travel along.
 
-use ndarray::Array2;
+use ndarray::{Array2, Zip};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
@@ -198,36 +198,45 @@ impl Record {
     /// As [`Record::grids`]; the first value that is wrong is named with its cell.
     pub fn sound_grids(&self, cells: usize) -> Result<Grids, RecordError> {
         let grids = self.grids(cells)?;
-        let wrong = |field, found: String, at: (usize, usize), expected: &str| {
-            let found = format!("{found} at row {}, column {}", at.0, at.1);
-            Err(RecordError::Value { field, found, expected: expected.to_owned() })
-        };
         let floor = self.floor_dbm.0 as f32;
-        for (at, &height) in grids.height_m.indexed_iter() {
-            let (rsrp, kind) = (grids.rsrp_dbm[at], grids.mask[at]);
-            if !(height >= 0.0 && height.is_finite()) {
-                return wrong("height_m", height.to_string(), at, "0 m or more");
-            }
-            if !rsrp.is_finite() {
-                return wrong("rsrp_dbm", rsrp.to_string(), at, "a finite level");
-            }
+        let is_sound = |height: f32, rsrp: f32, kind: u8| {
             let is_building = f64::from(height) >= self.flight_height_m;
-            match kind {
-                MASK_BUILDING if is_building => {}
-                MASK_REACHED if !is_building => {}
-                MASK_UNREACHED if !is_building && rsrp == floor => {}
-                MASK_UNREACHED if !is_building => {
-                    return wrong("rsrp_dbm", rsrp.to_string(), at, "the floor where mask is 2");
-                }
-                _ => {
-                    let found = format!("{kind} under a height of {height} m");
-                    let expected =
-                        "1 exactly where a building reaches the flight height, else 0 or 2";
-                    return wrong("mask", found, at, expected);
-                }
-            }
+            let is_outdoor = kind == MASK_REACHED || (kind == MASK_UNREACHED && rsrp == floor);
+            let is_kind = if is_building { kind == MASK_BUILDING } else { is_outdoor };
+            height >= 0.0 && height.is_finite() && rsrp.is_finite() && is_kind
+        };
+        // Without an early end, which would cost each record that is read more than it saves.
+        let all_sound = Zip::from(&grids.height_m).and(&grids.rsrp_dbm).and(&grids.mask).fold(
+            true,
+            |sound, &height, &rsrp, &kind| sound & is_sound(height, rsrp, kind),
+        );
+        if all_sound {
+            return Ok(grids);
         }
-        Ok(grids)
+        let cells = grids.height_m.indexed_iter();
+        let unsound = cells.map(|(at, &height)| (at, height, grids.rsrp_dbm[at], grids.mask[at]));
+        let first = unsound.into_iter().find(|&(_, h, rsrp, kind)| !is_sound(h, rsrp, kind));
+        Err(self.unsound(first.expect("one of them was unsound")))
+    }
+
+    /// What is wrong with a cell: its place, height, RSRP and mask.
+    fn unsound(&self, (at, height, rsrp, kind): ((usize, usize), f32, f32, u8)) -> RecordError {
+        let wrong = |field, found: String, expected: &str| {
+            let found = format!("{found} at row {}, column {}", at.0, at.1);
+            RecordError::Value { field, found, expected: expected.to_owned() }
+        };
+        if !(height >= 0.0 && height.is_finite()) {
+            return wrong("height_m", height.to_string(), "0 m or more");
+        }
+        if !rsrp.is_finite() {
+            return wrong("rsrp_dbm", rsrp.to_string(), "a finite level");
+        }
+        if kind == MASK_UNREACHED && f64::from(height) < self.flight_height_m {
+            return wrong("rsrp_dbm", rsrp.to_string(), "the floor where mask is 2");
+        }
+        let found = format!("{kind} under a height of {height} m");
+        let expected = "1 exactly where a building reaches the flight height, else 0 or 2";
+        wrong("mask", found, expected)
     }
 }
 

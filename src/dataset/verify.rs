@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::read::ShardReader;
 use super::record::Record;
+use super::shard::ShardReader;
 use super::statistics;
 use crate::config::{Config, Split};
 use crate::grid::TileId;

@@ -1,5 +1,6 @@
 //! The maps of a split in memory: all of them, or as many as fit, replaced as training goes on.
 
+use std::collections::BTreeMap;
 use std::num::NonZero;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::env::NothingToLearn;
 use super::world::World;
-use crate::config::{RlConfig, Split};
+use crate::config::{OnDamage, RlConfig, Split};
 use crate::dataset::{Dataset, Loader, LoaderError, LoaderOptions, ReadError};
 use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
@@ -64,6 +65,25 @@ fn load(
     ids.par_iter().map(load).collect()
 }
 
+/// All records of a split that can be read, with their numbers, and what is wrong with the others.
+fn load_sound(
+    dataset: &Dataset,
+    split: Split,
+    config: &RlConfig,
+) -> Result<(Numbered, BTreeMap<TileId, String>), ReadError> {
+    let ids = dataset.ids_of(split);
+    let load = |(number, &id): (usize, _)| match load(dataset, &[id], config) {
+        Ok(maps) => Ok((maps.into_iter().map(|map| (number as u32, map)).collect(), None)),
+        Err(error) if error.fault() == Fault::Input => {
+            Ok((Vec::new(), Some((id, error.to_string()))))
+        }
+        Err(error) => Err(error),
+    };
+    let loaded = ids.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
+    let (maps, damaged): (Vec<Numbered>, Vec<_>) = loaded.into_iter().unzip();
+    Ok((maps.concat(), damaged.into_iter().flatten().collect()))
+}
+
 /// Why maps cannot be had.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -114,6 +134,8 @@ pub struct MapPool {
     maps: Numbered,
     replaced: u64,
     stream: Option<Stream>,
+    /// Maps that were left out when all were read.
+    damaged: BTreeMap<TileId, String>,
 }
 
 /// Where other maps come from.
@@ -121,7 +143,7 @@ pub struct MapPool {
 struct Stream {
     dataset: Arc<Dataset>,
     config: RlConfig,
-    loader: Loader<World>,
+    loader: Loader<Arc<World>>,
 }
 
 /// Where a pool's maps come from.
@@ -131,7 +153,18 @@ pub struct MapSource(Origin);
 #[derive(Debug)]
 enum Origin {
     Maps(Vec<Arc<World>>),
-    Split { dataset: Arc<Dataset>, split: Split, config: RlConfig, memory_bytes: usize, seed: u64 },
+    Split(Maps),
+}
+
+/// Which maps of a dataset, and how many at a time.
+#[derive(Debug)]
+struct Maps {
+    dataset: Arc<Dataset>,
+    split: Split,
+    config: RlConfig,
+    memory_bytes: usize,
+    seed: u64,
+    on_damage: OnDamage,
 }
 
 impl MapSource {
@@ -152,7 +185,17 @@ impl MapSource {
         seed: u64,
     ) -> Self {
         let (dataset, config) = (Arc::clone(dataset), config.clone());
-        Self(Origin::Split { dataset, split, config, memory_bytes, seed })
+        let on_damage = OnDamage::Error;
+        Self(Origin::Split(Maps { dataset, split, config, memory_bytes, seed, on_damage }))
+    }
+
+    /// The same, but with this done about maps that cannot be read.
+    #[must_use]
+    pub fn on_damage(mut self, on_damage: OnDamage) -> Self {
+        if let Origin::Split(maps) = &mut self.0 {
+            maps.on_damage = on_damage;
+        }
+        self
     }
 
     /// A pool at its beginning.
@@ -162,7 +205,7 @@ impl MapSource {
     pub fn fill(self) -> Result<MapPool, PoolError> {
         let (mut stream, capacity) = match self.open(0)? {
             Opened::Part { stream, capacity } => (stream, capacity),
-            Opened::Whole(maps) => return MapPool::of(maps, None),
+            Opened::Whole { maps, damaged } => return MapPool::whole(maps, damaged),
         };
         let mut maps = Vec::new();
         while maps.len() < capacity {
@@ -181,7 +224,7 @@ impl MapSource {
     /// As [`MapSource::fill`].
     pub fn restore(self, state: &PoolState) -> Result<Option<MapPool>, PoolError> {
         let mut pool = match self.open(state.cursor)? {
-            Opened::Whole(maps) => MapPool::of(maps, None)?,
+            Opened::Whole { maps, damaged } => MapPool::whole(maps, damaged)?,
             Opened::Part { stream, capacity } => {
                 let known = stream.loader.ids();
                 let ids = state.numbers.iter().map(|&number| known.get(number as usize).copied());
@@ -197,22 +240,28 @@ impl MapSource {
     }
 
     fn open(self, cursor: u64) -> Result<Opened, PoolError> {
-        let (dataset, split, config, memory_bytes, seed) = match self.0 {
-            Origin::Maps(maps) => return Ok(Opened::Whole((0..).zip(maps).collect())),
-            Origin::Split { dataset, split, config, memory_bytes, seed } => {
-                (dataset, split, config, memory_bytes, seed)
-            }
+        let whole = |maps, damaged| Ok(Opened::Whole { maps, damaged });
+        let maps = match self.0 {
+            Origin::Maps(maps) => return whole((0..).zip(maps).collect(), BTreeMap::new()),
+            Origin::Split(maps) => maps,
         };
+        let Maps { dataset, split, config, memory_bytes, seed, on_damage } = maps;
         let records = dataset.ids_of(split).len();
         let fitting = memory_bytes / World::bytes(dataset.manifest().cells as usize);
         if records > 0 && records <= fitting {
+            if on_damage == OnDamage::Quarantine {
+                let (maps, damaged) = load_sound(&dataset, split, &config)?;
+                return whole(maps, damaged);
+            }
             let maps = load_split(&dataset, split, &config)?;
-            return Ok(Opened::Whole((0..).zip(maps).collect()));
+            return whole((0..).zip(maps).collect(), BTreeMap::new());
         }
         let memory_bytes = memory_bytes / AHEAD;
-        let options = LoaderOptions { seed, threads: DECODERS, memory_bytes };
+        let (threads, keep) = (DECODERS, false);
+        let options =
+            LoaderOptions { threads, memory_bytes, keep, on_damage, ..LoaderOptions::new(seed) };
         let of = config.clone();
-        let decode = move |record, grids| World::new(&record, &grids, &of);
+        let decode = move |record, grids| Arc::new(World::new(&record, &grids, &of));
         let loader = Loader::new(&dataset, split, options, cursor, decode)?;
         let capacity = fitting.min(records * 3 / 4).max(1);
         Ok(Opened::Part { stream: Stream { dataset, config, loader }, capacity })
@@ -221,8 +270,8 @@ impl MapSource {
 
 /// What a source gives.
 enum Opened {
-    /// All maps.
-    Whole(Numbered),
+    /// All maps, and what is wrong with those that were left out.
+    Whole { maps: Numbered, damaged: BTreeMap<TileId, String> },
     /// So many at a time.
     Part { stream: Stream, capacity: usize },
 }
@@ -244,7 +293,11 @@ impl MapPool {
         if maps.is_empty() {
             return Err(NothingToLearn { maps: all }.into());
         }
-        Ok(Self { maps, replaced: 0, stream })
+        Ok(Self { maps, replaced: 0, stream, damaged: BTreeMap::new() })
+    }
+
+    fn whole(maps: Numbered, damaged: BTreeMap<TileId, String>) -> Result<Self, PoolError> {
+        Ok(Self { damaged, ..Self::of(maps, None)? })
     }
 
     /// The maps, and their numbers.
@@ -278,6 +331,12 @@ impl MapPool {
         self.stream.as_ref().map_or(Duration::ZERO, |stream| stream.loader.waited())
     }
 
+    /// The maps that were left out so far since they cannot be read, each with the reason.
+    #[must_use]
+    pub fn quarantined(&self) -> &BTreeMap<TileId, String> {
+        self.stream.as_ref().map_or(&self.damaged, |stream| stream.loader.quarantined())
+    }
+
     /// What a checkpoint must keep.
     #[must_use]
     pub fn state(&self) -> PoolState {
@@ -296,7 +355,7 @@ impl Stream {
             let loaded = self.loader.next().expect("a loader has no end")?;
             let is_held = held.iter().any(|&(number, _)| number == loaded.number);
             if !is_held && loaded.value.can_teach() {
-                return Ok(Some((loaded.number, Arc::new(loaded.value))));
+                return Ok(Some((loaded.number, loaded.value)));
             }
         }
         Ok(None)

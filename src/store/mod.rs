@@ -15,4 +15,4 @@ pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
 pub use output::{MANIFEST, OutputDir, OutputError, SUMS, parse_sums};
-pub use seekable::{SeekError, SeekTable, SeekableWriter, compress_frame, decompress_frame};
+pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};

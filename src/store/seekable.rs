@@ -63,19 +63,6 @@ pub fn compress_frame(record: &[u8], level: i32) -> io::Result<Vec<u8>> {
     compressor.compress(record)
 }
 
-/// Decompresses one frame; `expected` is the size that the table gives.
-///
-/// # Errors
-/// When the frame is damaged: Zstandard verifies the content checksum.
-pub fn decompress_frame(frame: &[u8], expected: usize) -> io::Result<Vec<u8>> {
-    let record = zstd::bulk::decompress(frame, expected)?;
-    if record.len() == expected {
-        Ok(record)
-    } else {
-        Err(io::Error::other(format!("unpacks to {} bytes, not {expected}", record.len())))
-    }
-}
-
 /// Writes frames made by [`compress_frame`] and, at the end, the table.
 pub struct SeekableWriter<W> {
     sink: W,
@@ -222,6 +209,21 @@ impl SeekTable {
     /// # Errors
     /// [`SeekError::Frame`] names the frame if it is damaged or does not exist.
     pub fn frame(&self, file: &mut (impl Read + Seek), frame: usize) -> Result<Vec<u8>, SeekError> {
+        let mut buffer = FrameBuffer::new()?;
+        self.frame_into(file, frame, &mut buffer)?;
+        Ok(buffer.record)
+    }
+
+    /// As [`SeekTable::frame`], into memory that is used again for each.
+    ///
+    /// # Errors
+    /// As [`SeekTable::frame`].
+    pub fn frame_into<'buffer>(
+        &self,
+        file: &mut (impl Read + Seek),
+        frame: usize,
+        buffer: &'buffer mut FrameBuffer,
+    ) -> Result<&'buffer [u8], SeekError> {
         let damaged = |reason: String| SeekError::Frame { frame, reason };
         let entry = self
             .entries
@@ -230,15 +232,41 @@ impl SeekTable {
         if entry.decompressed > MAX_FRAME_BYTES || entry.compressed > MAX_FRAME_BYTES {
             return Err(damaged(format!("declares {} bytes, too many", entry.decompressed)));
         }
-        let mut bytes = vec![0; entry.compressed as usize];
+        let FrameBuffer { decompressor, compressed, record } = buffer;
+        compressed.resize(entry.compressed as usize, 0);
         file.seek(SeekFrom::Start(self.offsets[frame]))?;
-        file.read_exact(&mut bytes)?;
-        let checksum = bytes.last_chunk().map(|bytes| u32::from_le_bytes(*bytes));
+        file.read_exact(compressed)?;
+        let checksum = compressed.last_chunk().map(|bytes| u32::from_le_bytes(*bytes));
         if checksum != Some(entry.checksum) {
             return Err(damaged("its checksum differs from the table's".into()));
         }
-        decompress_frame(&bytes, entry.decompressed as usize)
-            .map_err(|error| damaged(error.to_string()))
+        let expected = entry.decompressed as usize;
+        record.clear();
+        record.reserve(expected);
+        let unpacked = decompressor.decompress_to_buffer(&compressed[..], record);
+        let found = unpacked.map_err(|error| damaged(error.to_string()))?;
+        if found != expected {
+            return Err(damaged(format!("unpacks to {found} bytes, not {expected}")));
+        }
+        Ok(record)
+    }
+}
+
+/// Memory for one frame after the other: setting it up anew costs as much as unpacking a record.
+pub struct FrameBuffer {
+    decompressor: zstd::bulk::Decompressor<'static>,
+    compressed: Vec<u8>,
+    record: Vec<u8>,
+}
+
+impl FrameBuffer {
+    /// Without memory yet, but for Zstandard's tables.
+    ///
+    /// # Errors
+    /// When Zstandard gets no memory.
+    pub fn new() -> io::Result<Self> {
+        let decompressor = zstd::bulk::Decompressor::new()?;
+        Ok(Self { decompressor, compressed: Vec::new(), record: Vec::new() })
     }
 }
 

@@ -5,23 +5,29 @@
 //! a queue puts their results back into order and keeps them from running ahead too far. So
 //! neither the number of threads nor an interruption changes what comes next.
 
+mod kept;
+mod options;
 mod order;
 mod queue;
 mod shards;
+mod work;
 
+use std::collections::BTreeMap;
 use std::num::NonZero;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
-pub use self::order::Order;
+use self::kept::Kept;
+pub use self::options::{LoaderOptions, Share};
+pub use self::order::{Epoch, Order};
 use self::queue::Queue;
-use self::shards::OpenShards;
+use self::work::{Outcome, Plan, Unreadable, Worker};
 use super::read::{Dataset, ReadError};
 use super::record::{Grids, Record};
-use crate::config::Split;
+use crate::config::{OnDamage, Split};
 use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
 
@@ -29,6 +35,8 @@ use crate::grid::TileId;
 const OPEN_SHARDS: usize = 256;
 /// Bytes of a cell in [`Grids`]: two float32 and one uint8.
 const CELL_BYTES: usize = 4 + 4 + 1;
+/// Bytes of a record besides its arrays, generously.
+const OTHER_BYTES: usize = 8 << 10;
 
 /// Why a loader cannot begin.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +52,18 @@ pub enum LoaderError {
         /// The splits that have records.
         found: Vec<Split>,
     },
+    /// More processes than records.
+    #[error(
+        "the {split} split has {records} records, too few for {world} processes; run fewer of them"
+    )]
+    TooManyProcesses {
+        /// The split.
+        split: Split,
+        /// Its records.
+        records: u32,
+        /// The processes.
+        world: u32,
+    },
     /// The operating system gave no thread.
     #[error("cannot start a thread that decodes records: {0}; try fewer threads")]
     Thread(std::io::Error),
@@ -57,23 +77,10 @@ fn names(splits: &[Split]) -> String {
 impl HasFault for LoaderError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Empty { .. } => Fault::Input,
+            Self::Empty { .. } | Self::TooManyProcesses { .. } => Fault::Input,
             Self::Thread(_) => Fault::Running,
         }
     }
-}
-
-/// How records are loaded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct LoaderOptions {
-    /// Decides the order together with the number of records, see [`Order`].
-    pub seed: u64,
-    /// Most threads that decode; no effect on what is loaded.
-    pub threads: NonZero<usize>,
-    /// Memory for records that are being decoded or wait to be taken, in bytes. Each is taken to
-    /// need as much as its arrays and its frame; one is always allowed. No effect on what is
-    /// loaded.
-    pub memory_bytes: usize,
 }
 
 /// What was made of a record.
@@ -87,31 +94,37 @@ pub struct Loaded<T> {
     pub value: T,
 }
 
-/// What a worker hands over; a panic is carried to the consumer.
-type Outcome<T> = std::thread::Result<Result<Loaded<T>, ReadError>>;
-
 /// An endless iterator over the records of a split, epoch after epoch, in the order of
 /// [`Order`].
 ///
-/// A record that cannot be read is an error in its place; the next one follows. Dropping the
-/// loader ends its threads; at most the record that each of them has begun is awaited.
+/// A record that cannot be read is an error in its place, or left out ([`OnDamage`]); the next one
+/// follows. Dropping the loader ends its threads; at most the record that each of them has begun
+/// is awaited.
 #[derive(Debug)]
 pub struct Loader<T> {
-    ids: Arc<[TileId]>,
+    plan: Arc<Plan>,
+    /// The epoch of the next item.
+    epoch: Epoch,
+    /// The next cursor.
+    cursor: u64,
     queue: Arc<Queue<Outcome<T>>>,
     workers: Vec<JoinHandle<()>>,
+    kept: Option<Arc<Kept<T>>>,
+    on_damage: OnDamage,
+    quarantined: BTreeMap<TileId, String>,
     waited: Duration,
 }
 
-impl<T: Send + 'static> Loader<T> {
+impl<T: Clone + Send + Sync + 'static> Loader<T> {
     /// Begins to load a split from a cursor on, 0 or the [`Loader::cursor`] of a loader that
     /// this one continues. `decode` makes of a record and its checked arrays, `[n, n]`, what the
     /// iterator yields; it runs on several threads at once. If it panics, so does
-    /// [`Iterator::next`] in that record's place.
+    /// [`Iterator::next`] in that record's place. A kept record is cloned for each epoch: let it
+    /// be an `Arc` of something.
     ///
     /// # Errors
-    /// [`LoaderError`] if the split has no records or no thread can be started. Damaged shards
-    /// are errors of their records.
+    /// [`LoaderError`] if there are no records for this process, or no thread can be started.
+    /// Damaged shards are errors of their records.
     pub fn new(
         dataset: &Arc<Dataset>,
         split: Split,
@@ -119,45 +132,81 @@ impl<T: Send + 'static> Loader<T> {
         cursor: u64,
         decode: impl Fn(Record, Grids) -> T + Send + Sync + 'static,
     ) -> Result<Self, LoaderError> {
-        let ids = ids_of(dataset, split)?;
-        let records = u32::try_from(ids.len()).ok().and_then(NonZero::new);
-        let records = records.expect("a manifest that fits in memory has fewer than 2^32 records");
-        let order = Order::new(options.seed, records);
-        let window = NonZero::new(options.memory_bytes / record_bytes(dataset, split));
+        let plan = Arc::new(Plan::new(dataset, split, &options)?);
+        let cells = dataset.manifest().cells as usize;
+        let record = cells.saturating_mul(cells).saturating_mul(2 * CELL_BYTES) + OTHER_BYTES;
+        let fitting = options.memory_bytes / record;
+        let threads = options.threads.get();
+        let all = plan.ids.len();
+        // What is kept needs a place; so does what the threads have in hand.
+        let keeps = options.keep && fitting >= all + threads;
+        let kept = keeps.then(|| Arc::new(Kept::new(all)));
+        let window = NonZero::new(if keeps { fitting - all } else { fitting });
         let window = window.unwrap_or(NonZero::<usize>::MIN);
         let threads = options.threads.min(window);
-        let queue = Arc::new(Queue::new(cursor, window));
+        let cursor = options.share.first(cursor);
+        let queue = Arc::new(Queue::new(window));
+        let (epoch, on_damage) = (plan.order.epoch(plan.order.split(cursor).0), options.on_damage);
         // From here on the loader's end stops the workers, also when one of them cannot start.
-        let mut loader = Self { ids, queue, workers: Vec::new(), waited: Duration::ZERO };
+        let mut loader = Self {
+            plan,
+            epoch,
+            cursor,
+            queue,
+            workers: Vec::new(),
+            kept,
+            on_damage,
+            quarantined: BTreeMap::new(),
+            waited: Duration::ZERO,
+        };
         let decode = Arc::new(decode);
         for _ in 0..threads.get() {
-            let (queue, ids) = (Arc::clone(&loader.queue), Arc::clone(&loader.ids));
-            let decode = Arc::clone(&decode);
-            let mut shards = OpenShards::new(Arc::clone(dataset), OPEN_SHARDS / threads);
-            let load = move |cursor| {
-                let (_, number) = order.at(cursor);
-                let (record, grids) = shards.read(ids[number as usize])?;
-                Ok(Loaded { cursor, number, value: decode(record, grids) })
-            };
-            let worker = Builder::new().name("loader".to_owned()).spawn(move || work(&queue, load));
-            loader.workers.push(worker.map_err(LoaderError::Thread)?);
+            let open = OPEN_SHARDS / threads;
+            let plan = Arc::clone(&loader.plan);
+            let worker =
+                Worker::new(dataset, plan, cursor, open, &decode, loader.kept.as_ref());
+            let queue = Arc::clone(&loader.queue);
+            let thread = Builder::new().name("loader".to_owned()).spawn(move || worker.work(&queue));
+            loader.workers.push(thread.map_err(LoaderError::Thread)?);
         }
         Ok(loader)
+    }
+
+    /// The next item of the share, damaged or not.
+    fn step(&mut self) -> Outcome<T> {
+        let cursor = self.cursor;
+        self.cursor = self.plan.share.after(cursor, 1);
+        if self.kept.as_ref().is_some_and(|kept| kept.is_full()) {
+            self.dismiss();
+            let number = self.plan.number(cursor, &mut self.epoch);
+            let kept = self.kept.as_ref().and_then(|kept| kept.get(number as usize));
+            return Ok(Ok(Loaded { cursor, number, value: kept.expect("all records are kept") }));
+        }
+        let (outcome, waited) = self.queue.take();
+        self.waited += waited;
+        outcome
     }
 }
 
 impl<T> Loader<T> {
-    /// The cursor of the next item. A loader that begins here, with the same dataset, split and
-    /// seed, continues exactly.
+    /// The cursor of the next item. A loader that begins here, with the same dataset, split, seed
+    /// and block, continues exactly. Where each of several processes has taken as many items, the
+    /// smallest of their cursors continues all of them, whatever number of processes goes on.
     #[must_use]
     pub fn cursor(&self) -> u64 {
-        self.queue.wanted()
+        self.cursor
     }
 
     /// The records of the split by number: in the order of [`Dataset::ids`].
     #[must_use]
     pub fn ids(&self) -> &[TileId] {
-        &self.ids
+        &self.plan.ids
+    }
+
+    /// The order in which records come.
+    #[must_use]
+    pub fn order(&self) -> &Order {
+        &self.plan.order
     }
 
     /// Most records that are being decoded or wait to be taken.
@@ -166,26 +215,29 @@ impl<T> Loader<T> {
         self.queue.window()
     }
 
+    /// Whether decoded records are kept from epoch to epoch.
+    #[must_use]
+    pub fn keeps(&self) -> bool {
+        self.kept.is_some()
+    }
+
+    /// The records that were left out so far, each with what is wrong with it.
+    #[must_use]
+    pub fn quarantined(&self) -> &BTreeMap<TileId, String> {
+        &self.quarantined
+    }
+
     /// The time that [`Iterator::next`] has waited for records, all together.
     #[must_use]
     pub fn waited(&self) -> Duration {
         self.waited
     }
-}
 
-impl<T> Iterator for Loader<T> {
-    type Item = Result<Loaded<T>, ReadError>;
-
-    /// The next record; never `None`.
-    fn next(&mut self) -> Option<Self::Item> {
-        let (outcome, waited) = self.queue.take();
-        self.waited += waited;
-        Some(outcome.unwrap_or_else(|panic| resume_unwind(panic)))
-    }
-}
-
-impl<T> Drop for Loader<T> {
-    fn drop(&mut self) {
+    /// Ends the workers.
+    fn dismiss(&mut self) {
+        if self.workers.is_empty() {
+            return;
+        }
         self.queue.stop();
         for worker in self.workers.drain(..) {
             // A worker carries panics to the consumer and has none of its own.
@@ -194,31 +246,34 @@ impl<T> Drop for Loader<T> {
     }
 }
 
-/// The records of a split, in the order of [`Dataset::ids`].
-fn ids_of(dataset: &Dataset, split: Split) -> Result<Arc<[TileId]>, LoaderError> {
-    let ids: Arc<[TileId]> = dataset.ids_of(split).into();
-    if ids.is_empty() {
-        let has_records = |split: &Split| !dataset.ids_of(*split).is_empty();
-        let found = Split::ALL.into_iter().filter(has_records).collect();
-        return Err(LoaderError::Empty { root: dataset.root().to_owned(), split, found });
+impl<T: Clone + Send + Sync + 'static> Iterator for Loader<T> {
+    type Item = Result<Loaded<T>, ReadError>;
+
+    /// The next record; never `None`. If every record of the split is damaged, that of the last
+    /// one is an error also in quarantine.
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            match self.step() {
+                Err(panic) => resume_unwind(panic),
+                Ok(Ok(loaded)) => return Some(Ok(loaded)),
+                Ok(Err(unreadable)) => {
+                    let Unreadable { id, error } = *unreadable;
+                    let others = self.plan.ids.len() - 1;
+                    let known = self.quarantined.contains_key(&id);
+                    let is_damage = error.fault() == Fault::Input;
+                    let leaves_some = known || self.quarantined.len() < others;
+                    if self.on_damage == OnDamage::Error || !is_damage || !leaves_some {
+                        return Some(Err(error));
+                    }
+                    self.quarantined.insert(id, error.to_string());
+                }
+            }
+        }
     }
-    Ok(ids)
 }
 
-/// About what a record of a split needs in memory, in bytes: its arrays and the largest frame.
-fn record_bytes(dataset: &Dataset, split: Split) -> usize {
-    let manifest = dataset.manifest();
-    let shards = manifest.shards.iter().filter(|shard| shard.split == split);
-    // A shard that cannot be opened is the error of its records.
-    let opened = shards.filter_map(|shard| dataset.open_shard(&shard.file).ok());
-    let frame = opened.map(|shard| shard.largest_frame()).max().unwrap_or(0);
-    let cells = manifest.cells as usize;
-    cells.saturating_mul(cells).saturating_mul(CELL_BYTES).saturating_add(frame).max(1)
-}
-
-/// Loads one cursor after the other until the queue is stopped.
-fn work<T>(queue: &Queue<Outcome<T>>, mut load: impl FnMut(u64) -> Result<Loaded<T>, ReadError>) {
-    while let Some(cursor) = queue.claim() {
-        queue.put(cursor, catch_unwind(AssertUnwindSafe(|| load(cursor))));
+impl<T> Drop for Loader<T> {
+    fn drop(&mut self) {
+        self.dismiss();
     }
 }

@@ -6,16 +6,26 @@
 //! functions", 1988), and what falls outside of the split goes through it again until it falls
 //! inside (cycle walking; Black and Rogaway, "Ciphers with arbitrary finite domains", 2002).
 //! So a checkpoint needs nothing but the cursor, whatever the size of the split.
+//!
+//! With blocks, an epoch permutes the shards, takes so many of them at a time, and permutes the
+//! records of those: a split that does not fit on the disk is read shard by shard. How far that
+//! is from a full shuffle is measured by [`Order::distance`].
 
 use std::num::NonZero;
+use std::sync::Arc;
 
 use crate::random::{GOLDEN, mix};
 
-/// The shuffled order of a split's records, epoch after epoch.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The shuffled order of a split's records, epoch after epoch. Records are numbered from 0, shard
+/// after shard.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Order {
     seed: u64,
     records: NonZero<u32>,
+    /// Records before each shard.
+    starts: Arc<[u32]>,
+    /// Shards that are shuffled together.
+    block: NonZero<usize>,
 }
 
 /// Four make a Feistel network pseudorandom on large numbers. Splits of few records need more:
@@ -23,41 +33,157 @@ pub struct Order {
 const ROUNDS: u64 = 12;
 
 impl Order {
-    /// The order of a number of records by a seed.
+    /// The full shuffle of a number of records by a seed.
     #[must_use]
     pub fn new(seed: u64, records: NonZero<u32>) -> Self {
-        Self { seed, records }
+        Self::of_blocks(seed, &[records], NonZero::<usize>::MIN)
+            .expect("the number of records fits, since it was given")
     }
 
-    /// The epoch that a cursor lies in, from 0, and the number of its record, below the number
-    /// of records. Every epoch has every record once.
+    /// The shuffle of shards of so many records, `block` of them at a time. `None` without shards,
+    /// or with 2^32 records.
     #[must_use]
-    pub fn at(self, cursor: u64) -> (u64, u32) {
-        let records = u64::from(self.records.get());
-        let (epoch, mut number) = (cursor / records, cursor % records);
-        let key = mix(mix(self.seed.wrapping_add(GOLDEN)) ^ mix(epoch));
-        // The walk ends: at the latest it comes back to where it began, which is inside.
-        loop {
-            number = self.permute(key, number);
-            if number < records {
-                return (epoch, number as u32);
-            }
+    pub fn of_blocks(
+        seed: u64,
+        shards: &[NonZero<u32>],
+        block: NonZero<usize>,
+    ) -> Option<Self> {
+        let mut starts = Vec::with_capacity(shards.len());
+        let mut records = 0_u32;
+        for size in shards {
+            starts.push(records);
+            records = records.checked_add(size.get())?;
         }
+        Some(Self { seed, records: NonZero::new(records)?, starts: starts.into(), block })
     }
 
-    /// A permutation of the numbers below the first power of four that is not less than the
-    /// number of records.
-    fn permute(self, key: u64, number: u64) -> u64 {
-        let bits = u64::BITS - u64::from(self.records.get() - 1).leading_zeros();
-        let half = bits.div_ceil(2);
-        let mask = (1 << half) - 1;
+    /// Records of an epoch.
+    #[must_use]
+    pub fn records(&self) -> NonZero<u32> {
+        self.records
+    }
+
+    /// The epoch that a cursor lies in, from 0, and the number of its record. Every epoch has
+    /// every record once. For many cursors, ask [`Order::epoch`] once.
+    #[must_use]
+    pub fn at(&self, cursor: u64) -> (u64, u32) {
+        let (epoch, place) = self.split(cursor);
+        (epoch, self.epoch(epoch).at(place))
+    }
+
+    /// The epoch of a cursor, and its place there.
+    #[must_use]
+    pub fn split(&self, cursor: u64) -> (u64, u32) {
+        let records = u64::from(self.records.get());
+        (cursor / records, (cursor % records) as u32)
+    }
+
+    /// The order of one epoch.
+    #[must_use]
+    pub fn epoch(&self, epoch: u64) -> Epoch {
+        let key = mix(mix(self.seed.wrapping_add(GOLDEN)) ^ mix(epoch));
+        let shards = self.starts.len();
+        if self.block.get() >= shards {
+            let all = Block { first: 0, shards: vec![(0, self.records.get())] };
+            return Epoch { number: epoch, key, records: self.records, blocks: vec![all] };
+        }
+        let size = |shard: usize| {
+            let end = self.starts.get(shard + 1).copied().unwrap_or(self.records.get());
+            (self.starts[shard], end - self.starts[shard])
+        };
+        // Another key than that of the first block, which counts from 0.
+        let of_shards = mix(key ^ u64::MAX);
+        let order: Vec<_> =
+            (0..shards).map(|at| size(permute(of_shards, shards as u32, at as u32) as usize)).collect();
+        let mut first = 0;
+        let blocks = order.chunks(self.block.get()).map(|shards| {
+            let block = Block { first, shards: shards.to_vec() };
+            first += shards.iter().map(|(_, size)| size).sum::<u32>();
+            block
+        });
+        Epoch { number: epoch, key, records: self.records, blocks: blocks.collect() }
+    }
+
+    /// How far the shuffle is from a uniform one: the total variation distance between the shard
+    /// of the record after another one and that of a record drawn from all others, averaged over
+    /// an epoch. 0 is a full shuffle, about 1 is one shard after the other.
+    #[must_use]
+    pub fn distance(&self, epoch: u64) -> f64 {
+        let records = f64::from(self.records.get());
+        let order = self.epoch(epoch);
+        let of_block = |block: &Block| {
+            // What follows lies in the block, but for the last record of it.
+            let inside: f64 = block.shards.iter().map(|(_, size)| f64::from(*size)).sum();
+            inside / records * (1.0 - inside / records)
+        };
+        order.blocks.iter().map(of_block).sum()
+    }
+}
+
+/// The order of one epoch.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Epoch {
+    number: u64,
+    key: u64,
+    records: NonZero<u32>,
+    blocks: Vec<Block>,
+}
+
+/// Shards that are shuffled together.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Block {
+    /// Place of its first record in the epoch.
+    first: u32,
+    /// First record and number of records of each shard.
+    shards: Vec<(u32, u32)>,
+}
+
+impl Epoch {
+    /// Which one it is, from 0.
+    #[must_use]
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// The number of the record at a place of the epoch, below the number of records.
+    ///
+    /// # Panics
+    /// If the epoch has fewer records.
+    #[must_use]
+    pub fn at(&self, place: u32) -> u32 {
+        assert!(place < self.records.get(), "an epoch of {} records", self.records);
+        let block = self.blocks.partition_point(|block| block.first <= place) - 1;
+        let Block { first, shards } = &self.blocks[block];
+        let records = shards.iter().map(|(_, size)| size).sum();
+        let mut within = permute(mix(self.key ^ block as u64), records, place - first);
+        for (start, size) in shards {
+            if within < *size {
+                return start + within;
+            }
+            within -= size;
+        }
+        unreachable!("a permutation stays below the number of records")
+    }
+}
+
+/// Where a permutation of the numbers below `records` takes one of them.
+fn permute(key: u64, records: u32, number: u32) -> u32 {
+    let bits = u32::BITS - (records - 1).leading_zeros();
+    let half = bits.div_ceil(2);
+    let mask = (1_u64 << half) - 1;
+    let mut number = u64::from(number);
+    // The walk ends: at the latest it comes back to where it began, which is inside.
+    loop {
         let (mut left, mut right) = (number >> half, number & mask);
         for round in 0..ROUNDS {
             let counter = (round << half | right) + 1;
             let random = mix(key.wrapping_add(counter.wrapping_mul(GOLDEN)));
             (left, right) = (right, left ^ (random & mask));
         }
-        left << half | right
+        number = left << half | right;
+        if number < u64::from(records) {
+            return number as u32;
+        }
     }
 }
 

@@ -5,33 +5,33 @@ use std::num::NonZero;
 use std::sync::{Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-/// A reorder buffer between workers, which claim cursors in turn, and one consumer, which takes
-/// the results in the order of their cursors. Cursors wrap around after 2^64 - 1.
+/// A reorder buffer between workers, which claim items in turn, and one consumer, which takes the
+/// results in the order of the items. Items are counted from 0.
 #[derive(Debug)]
 pub(super) struct Queue<R> {
-    /// Most cursors that are claimed and not taken.
+    /// Most items that are claimed and not taken.
     window: NonZero<usize>,
     state: Mutex<State<R>>,
     /// Signals the consumer: the result that is wanted next is there.
     filled: Condvar,
-    /// Signals the workers: a cursor may be claimed, or there is nothing left to do.
+    /// Signals the workers: an item may be claimed, or there is nothing left to do.
     freed: Condvar,
 }
 
 #[derive(Debug)]
 struct State<R> {
-    /// The cursor to be taken next.
+    /// The item to be taken next.
     wanted: u64,
-    /// The cursor to be claimed next, at most `window` ahead of `wanted`.
+    /// The item to be claimed next, at most `window` ahead of `wanted`.
     unclaimed: u64,
     results: BTreeMap<u64, R>,
     stopped: bool,
 }
 
 impl<R> Queue<R> {
-    pub(super) fn new(cursor: u64, window: NonZero<usize>) -> Self {
+    pub(super) fn new(window: NonZero<usize>) -> Self {
         let (results, stopped) = (BTreeMap::new(), false);
-        let state = Mutex::new(State { wanted: cursor, unclaimed: cursor, results, stopped });
+        let state = Mutex::new(State { wanted: 0, unclaimed: 0, results, stopped });
         Self { window, state, filled: Condvar::new(), freed: Condvar::new() }
     }
 
@@ -43,17 +43,12 @@ impl<R> Queue<R> {
         self.window
     }
 
-    /// The cursor that is taken next.
-    pub(super) fn wanted(&self) -> u64 {
-        self.lock().wanted
-    }
-
-    /// The next cursor to work on, once it is inside the window; `None` after
+    /// The next item to work on, once it is inside the window; `None` after
     /// [`Queue::stop`].
     pub(super) fn claim(&self) -> Option<u64> {
         let window = self.window.get() as u64;
         let is_full = |state: &mut State<R>| {
-            !state.stopped && state.unclaimed.wrapping_sub(state.wanted) >= window
+            !state.stopped && state.unclaimed - state.wanted >= window
         };
         let waited = self.freed.wait_while(self.lock(), is_full);
         let mut state = waited.expect("nothing panics while it holds the lock");
@@ -61,15 +56,15 @@ impl<R> Queue<R> {
             return None;
         }
         let claimed = state.unclaimed;
-        state.unclaimed = claimed.wrapping_add(1);
+        state.unclaimed = claimed + 1;
         Some(claimed)
     }
 
-    /// Hands over the result of a claimed cursor.
-    pub(super) fn put(&self, cursor: u64, result: R) {
+    /// Hands over the result of a claimed item.
+    pub(super) fn put(&self, item: u64, result: R) {
         let mut state = self.lock();
-        state.results.insert(cursor, result);
-        if cursor == state.wanted {
+        state.results.insert(item, result);
+        if item == state.wanted {
             self.filled.notify_one();
         }
     }
@@ -81,7 +76,7 @@ impl<R> Queue<R> {
         loop {
             let wanted = state.wanted;
             if let Some(result) = state.results.remove(&wanted) {
-                state.wanted = wanted.wrapping_add(1);
+                state.wanted = wanted + 1;
                 self.freed.notify_one();
                 return (result, waited);
             }
@@ -104,25 +99,24 @@ mod tests {
 
     use super::*;
 
-    fn queue(cursor: u64, window: usize) -> Queue<u64> {
-        Queue::new(cursor, NonZero::new(window).expect("a window"))
+    fn queue(window: usize) -> Queue<u64> {
+        Queue::new(NonZero::new(window).expect("a window"))
     }
 
     #[test]
-    fn results_come_in_the_order_of_cursors_across_the_last_one() {
-        let queue = queue(u64::MAX - 1, 4);
-        let claimed: Vec<_> = (0..4).map(|_| queue.claim().expect("a cursor")).collect();
-        assert_eq!(claimed, [u64::MAX - 1, u64::MAX, 0, 1]);
-        claimed.iter().rev().for_each(|cursor| queue.put(*cursor, *cursor));
-        for cursor in claimed {
-            assert_eq!(queue.wanted(), cursor);
-            assert_eq!(queue.take(), (cursor, Duration::ZERO));
+    fn results_come_in_the_order_of_items() {
+        let queue = queue(4);
+        let claimed: Vec<_> = (0..4).map(|_| queue.claim().expect("an item")).collect();
+        assert_eq!(claimed, [0, 1, 2, 3]);
+        claimed.iter().rev().for_each(|item| queue.put(*item, *item));
+        for item in claimed {
+            assert_eq!(queue.take(), (item, Duration::ZERO));
         }
     }
 
     #[test]
     fn claims_wait_for_the_window_and_end_with_a_stop() {
-        let queue = queue(0, 2);
+        let queue = queue(2);
         thread::scope(|scope| {
             assert_eq!((queue.claim(), queue.claim()), (Some(0), Some(1)));
             let third = scope.spawn(|| queue.claim());
@@ -143,7 +137,7 @@ mod tests {
 
     #[test]
     fn the_time_that_is_waited_is_measured() {
-        let queue = queue(0, 1);
+        let queue = queue(1);
         let late = Duration::from_millis(50);
         thread::scope(|scope| {
             scope.spawn(|| {

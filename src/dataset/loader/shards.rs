@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::dataset::read::{Dataset, ReadError, ShardReader};
+use crate::dataset::read::{Dataset, ReadError};
 use crate::dataset::record::{Grids, Record};
+use crate::dataset::shard::ShardReader;
 use crate::grid::TileId;
 
 /// Open shards of a dataset, so that file and seek table are not read again for every record.
@@ -29,8 +30,7 @@ impl OpenShards {
             Some(at) => self.readers.remove(at),
             None => (entry.shard.clone(), self.dataset.open_shard(&entry.shard)?),
         };
-        let cells = self.dataset.manifest().cells as usize;
-        let read = reader.record_with_grids(entry.frame as usize, cells)?;
+        let read = self.dataset.read(&mut reader, entry)?;
         self.readers.insert(0, (file, reader));
         self.readers.truncate(self.most.max(1));
         Ok(read)

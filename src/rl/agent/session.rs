@@ -4,6 +4,7 @@
 //! the validation split, `RUN/log.jsonl` a line for every hundred updates and every validation;
 //! `RUN/events.out.tfevents.*` are the same for `TensorBoard`.
 
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use super::network::QNetwork;
 use super::report::TrainReport;
 use super::trainer::{TrainError, TrainJob, Trainer};
 use crate::error::{Fault, FileError, HasFault};
+use crate::grid::TileId;
 use crate::rl::MapSource;
 use crate::store::write_atomic;
 
@@ -87,6 +89,8 @@ pub struct Ended {
     pub complete: bool,
     /// Best score on the validation split, and the update that had it.
     pub best: Option<(f64, u64)>,
+    /// Maps that were left out since they cannot be read, each with the reason.
+    pub quarantined: BTreeMap<TileId, String>,
 }
 
 /// Trains in a directory, from its last checkpoint if there is one, until all updates are done, scores
@@ -153,7 +157,12 @@ pub fn train(
 }
 
 fn ended(trainer: &Trainer<'_>) -> Ended {
-    Ended { updates: trainer.updates(), complete: trainer.is_done(), best: trainer.best() }
+    Ended {
+        updates: trainer.updates(),
+        complete: trainer.is_done(),
+        best: trainer.best(),
+        quarantined: trainer.pool().quarantined().clone(),
+    }
 }
 
 /// Times training, without judgements.

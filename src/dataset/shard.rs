@@ -1,0 +1,72 @@
+//! One open shard.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use super::read::ReadError;
+use super::record::{Grids, Record};
+use crate::error::FileError;
+use crate::store::{FrameBuffer, SeekError, SeekTable};
+
+/// A shard that is open, with memory to unpack its records in.
+pub(super) struct ShardReader {
+    path: PathBuf,
+    file: File,
+    table: SeekTable,
+    buffer: FrameBuffer,
+}
+
+impl ShardReader {
+    /// Opens a shard on a disk.
+    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+        let file = File::open(path).map_err(|error| unreadable(path, error))?;
+        Self::new(path.to_owned(), file)
+    }
+
+    /// Reads the seek table of an open shard, which errors call `path`.
+    pub(super) fn new(path: PathBuf, mut file: File) -> Result<Self, ReadError> {
+        let opened = SeekTable::read(&mut file).and_then(|table| Ok((table, FrameBuffer::new()?)));
+        let (table, buffer) = opened.map_err(|error| match error {
+            SeekError::Io(error) => unreadable(&path, error),
+            source => ReadError::Shard { shard: path.clone(), source },
+        })?;
+        Ok(Self { path, file, table, buffer })
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.table.len()
+    }
+
+    /// A record with its arrays, `[cells, cells]`, whose values are checked.
+    pub(super) fn record_with_grids(
+        &mut self,
+        frame: usize,
+        cells: usize,
+    ) -> Result<(Record, Grids), ReadError> {
+        let record = self.record(frame)?;
+        let grids = record.sound_grids(cells).map_err(|source| ReadError::Record {
+            shard: self.path.clone(),
+            frame,
+            source,
+        })?;
+        Ok((record, grids))
+    }
+
+    pub(super) fn record(&mut self, frame: usize) -> Result<Record, ReadError> {
+        let bytes = self
+            .table
+            .frame_into(&mut self.file, frame, &mut self.buffer)
+            .map_err(|source| ReadError::Shard { shard: self.path.clone(), source })?;
+        Record::decode(bytes).map_err(|source| ReadError::Record {
+            shard: self.path.clone(),
+            frame,
+            source,
+        })
+    }
+}
+
+fn unreadable(path: &Path, error: std::io::Error) -> ReadError {
+    let named = FileError::new("read", path)(error);
+    let source = SeekError::Io(std::io::Error::other(named));
+    ReadError::Shard { shard: path.to_owned(), source }
+}
