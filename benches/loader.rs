@@ -28,14 +28,17 @@ fn main() {
     let keep = !args.iter().any(|arg| arg == "--no-keep");
     let options = LoaderOptions { threads, memory_bytes, keep, ..LoaderOptions::new(1) };
     let mut loader =
-        Loader::new(&dataset, split, options, 0, |_: Record, grids: Grids| Arc::new(grids)).unwrap();
+        Loader::new(&dataset, split, options, 0, |_: Record, grids: Grids| Arc::new(grids))
+            .unwrap();
     let records = loader.ids().len();
     let (mut first, mut epoch_s, mut sum) = (0.0, Vec::new(), 0.0);
     let mut last = begin;
     for epoch in 0..epochs {
         for number in 0..records {
             let grids = loader.next().unwrap().unwrap().value;
-            sum += f64::from(grids.height_m[[0, 0]]) + f64::from(grids.rsrp_dbm[[60, 60]]) + f64::from(grids.mask[[7, 7]]);
+            sum += f64::from(grids.height_m[[0, 0]])
+                + f64::from(grids.rsrp_dbm[[60, 60]])
+                + f64::from(grids.mask[[7, 7]]);
             if epoch + number == 0 {
                 first = begin.elapsed().as_secs_f64();
             }
@@ -45,5 +48,8 @@ fn main() {
     }
     let samples = epochs * records;
     let total: f64 = epoch_s.iter().sum();
-    println!("{{\"samples\": {samples}, \"first_sample_s\": {first:.6}, \"epoch_s\": {epoch_s:?}, \"samples_per_s\": {:.1}, \"threads\": {threads}, \"sum\": {sum}}}", samples as f64 / total);
+    println!(
+        "{{\"samples\": {samples}, \"first_sample_s\": {first:.6}, \"epoch_s\": {epoch_s:?}, \"samples_per_s\": {:.1}, \"threads\": {threads}, \"sum\": {sum}}}",
+        samples as f64 / total
+    );
 }

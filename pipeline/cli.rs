@@ -12,11 +12,13 @@ use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
+mod remote;
 mod rsrp;
 mod scenes;
 #[cfg(feature = "torch")]
 mod train;
 
+pub(crate) use remote::RemoteFlags;
 pub(crate) use rsrp::RsrpFlags;
 pub(crate) use scenes::ScenesArgs;
 #[cfg(feature = "torch")]
@@ -91,6 +93,7 @@ impl Command {
             }
             Self::Shard(args) => args.dataset.apply(config),
             Self::Evaluate(args) => {
+                args.remote.apply(config);
                 args.judging.apply(config);
                 let methods = &mut config.evaluate.methods;
                 if args.policy.is_some() && !methods.contains(&Method::Agent) {
@@ -98,7 +101,10 @@ impl Command {
                 }
             }
             #[cfg(feature = "torch")]
-            Self::Train(args) => args.training.apply(config),
+            Self::Train(args) => {
+                args.remote.apply(config);
+                args.training.apply(config);
+            }
             Self::Config(args) => {
                 args.tiles.apply(config);
                 args.scene.apply(config);
@@ -108,7 +114,8 @@ impl Command {
             }
             #[cfg(feature = "torch")]
             Self::ExportPolicy(_) => {}
-            Self::Verify(_) | Self::Inspect(_) | Self::Schemas(_) => {}
+            Self::Inspect(args) => args.remote.apply(config),
+            Self::Verify(_) | Self::Schemas(_) => {}
         }
     }
 }
@@ -187,9 +194,11 @@ pub(crate) struct VerifyArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct InspectArgs {
-    /// A dataset
+    /// A dataset: a directory, or an address (feature remote)
     #[arg(value_name = "DATASET", value_hint = ValueHint::DirPath)]
     pub(crate) dataset: PathBuf,
+    #[command(flatten)]
+    pub(crate) remote: RemoteFlags,
     /// Show this record
     #[arg(long, value_name = "TILE")]
     pub(crate) id: Option<String>,
@@ -209,9 +218,11 @@ pub(crate) struct InspectArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
-    /// A dataset
+    /// A dataset: a directory, or an address (feature remote)
     #[arg(long, value_name = "DATASET", value_hint = ValueHint::DirPath)]
     pub(crate) dataset: PathBuf,
+    #[command(flatten)]
+    pub(crate) remote: RemoteFlags,
     /// Which of its splits
     #[arg(long, value_enum, default_value_t = SplitChoice::Test)]
     pub(crate) split: SplitChoice,

@@ -58,7 +58,8 @@ type Loaded = (Box<dyn MakePolicy>, String);
 fn load(policy: &Path, args: &EvaluateArgs, config: &Config) -> Result<Loaded, Failure> {
     use holescout::{dataset::Dataset, rl::agent::Agent, store::sha256_file};
     let device = args.device.choice().device()?;
-    let cells = Dataset::open(&args.dataset)?.manifest().cells as usize;
+    let dataset = Dataset::open_with(&args.dataset, &config.remote)?;
+    let cells = dataset.manifest().cells as usize;
     let agent = Agent::load(policy, cells, &config.rl, device)?;
     let weights = policy.join("weights.safetensors");
     Ok((Box::new(agent), sha256_file(&weights)?.sha256))

@@ -1,5 +1,6 @@
 //! `holescout inspect`: a dataset's figures, or one of its records.
 
+use holescout::config::Config;
 use holescout::dataset::{
     Dataset, Grids, PanelStyle, Record, hole_share, panels_png, record_json, records_csv,
     statistics_of,
@@ -13,8 +14,8 @@ use crate::console::Report;
 use crate::failure::Failure;
 use crate::shard;
 
-pub(crate) fn run(args: &InspectArgs) -> Result<Report, Failure> {
-    let dataset = Dataset::open(&args.dataset)?;
+pub(crate) fn run(args: &InspectArgs, config: &Config) -> Result<Report, Failure> {
+    let dataset = Dataset::open_with(&args.dataset, &config.remote)?;
     if let Some(path) = &args.csv {
         write_atomic(path, &records_csv(&dataset)?)?;
     }

@@ -56,7 +56,7 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
         #[cfg(feature = "torch")]
         Command::ExportPolicy(args) => export_policy::run(args),
         Command::Verify(args) => verify::run(args, console),
-        Command::Inspect(args) => inspect::run(args),
+        Command::Inspect(args) => inspect::run(args, &config),
         Command::Schemas(args) => schemas::run(args),
         Command::Config(_) => config::run(&config),
     }

@@ -26,13 +26,13 @@ pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Resul
     let Config { rl, train: how, .. } = config;
     keep_freed_memory();
     let device = args.device.choice().device()?;
-    let dataset = Arc::new(Dataset::open(&args.dataset)?);
+    let dataset = Arc::new(Dataset::open_with(&args.dataset, &config.remote)?);
     let need = MemoryNeed::new(&dataset, config, device)?;
     need.demand()?;
     let val_maps = load_sample(&dataset, Split::Val, rl, how.evaluate_maps as usize, how.seed)?;
     let memory = how.map_memory_mb as usize * 1_000_000;
-    let maps = MapSource::split(&dataset, Split::Train, rl, memory, how.seed)
-        .on_damage(how.on_damage);
+    let maps =
+        MapSource::split(&dataset, Split::Train, rl, memory, how.seed).on_damage(how.on_damage);
     let dataset_sha256 = &dataset.digest().sha256;
     let job = TrainJob { dataset_sha256, rl, train: how, device };
     let stopped = Arc::new(AtomicBool::new(false));

@@ -249,8 +249,7 @@ fn a_split_that_fits_is_decoded_once() {
         };
         let options = LoaderOptions { keep, ..options(2, memory_bytes) };
         let dataset = open(&DATASET);
-        let mut loader =
-            Loader::new(&dataset, Split::Train, options, 0, decode).expect("begun");
+        let mut loader = Loader::new(&dataset, Split::Train, options, 0, decode).expect("begun");
         assert_eq!(loader.keeps(), wanted == ids.len());
         let expected = expected(Split::Train);
         for cursor in 0..5 * ids.len() as u64 {
@@ -383,8 +382,7 @@ fn damaged_records_are_left_out_in_quarantine() {
     let ((flipped, of_flipped), (gone, of_gone)) = (&shards[0], &shards[1]);
     damage_first_frame(&root.join(&flipped.file));
     std::fs::remove_file(root.join(&gone.file)).expect("removed");
-    let damaged: BTreeSet<TileId> =
-        of_gone.iter().chain(&of_flipped[..1]).copied().collect();
+    let damaged: BTreeSet<TileId> = of_gone.iter().chain(&of_flipped[..1]).copied().collect();
     let expected: Vec<TileId> = {
         let wanted = expected(Split::Train);
         let epochs = 0..3 * records(Split::Train).len() as u64;

@@ -6,13 +6,15 @@ use clap::{Args, ValueEnum, ValueHint};
 use holescout::config::{Config, TrainConfig};
 use holescout::rl::agent::DeviceChoice;
 
-use super::{OutputArgs, set};
+use super::{OutputArgs, RemoteFlags, set};
 
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
-    /// A dataset with a train and a val split
+    /// A dataset with a train and a val split: a directory, or an address (feature remote)
     #[arg(long, value_name = "DATASET", value_hint = ValueHint::DirPath)]
     pub(crate) dataset: PathBuf,
+    #[command(flatten)]
+    pub(super) remote: RemoteFlags,
     /// Directory of the run: checkpoints, the best policy, a log
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub(crate) run: PathBuf,

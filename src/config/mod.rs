@@ -4,6 +4,7 @@
 //! manifest records the sections that made it. Unknown keys are errors.
 
 mod dataset;
+mod remote;
 mod rl;
 mod rsrp;
 mod scene;
@@ -13,6 +14,7 @@ mod train;
 pub use dataset::{
     HeightDownsampling, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
 };
+pub use remote::RemoteConfig;
 pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
 pub use rsrp::{Preset, RsrpConfig};
 pub use scene::{Material, Placement, SceneConfig};
@@ -77,6 +79,8 @@ pub struct Config {
     pub train: TrainConfig,
     /// How policies are judged.
     pub evaluate: EvaluateConfig,
+    /// Datasets on servers.
+    pub remote: RemoteConfig,
 }
 
 impl Config {
@@ -94,7 +98,8 @@ impl Config {
         self.split.validate()?;
         self.rl.validate()?;
         self.train.validate()?;
-        self.evaluate.validate()
+        self.evaluate.validate()?;
+        self.remote.validate()
     }
 }
 

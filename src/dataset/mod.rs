@@ -7,6 +7,7 @@
 mod card;
 mod downsample;
 mod loader;
+mod place;
 mod read;
 mod record;
 mod render;

@@ -3,13 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use super::place::Place;
 use super::record::{Grids, Record, RecordError};
 use super::shard::ShardReader;
-use crate::config::Split;
-use crate::error::{Fault, FileError, HasFault};
+use crate::config::{RemoteConfig, Split};
+use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
-use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, ShardEntry, load};
-use crate::store::{Digest, MANIFEST, SUMS, SeekError, parse_sums};
+use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, ShardEntry, parse};
+#[cfg(feature = "remote")]
+use crate::store::RemoteError;
+use crate::store::{Digest, MANIFEST, SUMS, SeekError, parse_sums, sha256_bytes};
 
 /// Why a record cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -18,6 +21,17 @@ pub enum ReadError {
     /// The manifest cannot be used.
     #[error(transparent)]
     Manifest(#[from] ManifestError),
+    /// A dataset on a server cannot be had.
+    #[cfg(feature = "remote")]
+    #[error(transparent)]
+    Remote(#[from] RemoteError),
+    /// This program reads directories only.
+    #[cfg(not(feature = "remote"))]
+    #[error("{url}: this program was built without the feature `remote`, which reads addresses")]
+    NoRemote {
+        /// The address.
+        url: String,
+    },
     /// A shard is damaged.
     #[error("{}: {source}", shard.display())]
     Shard {
@@ -52,6 +66,8 @@ impl HasFault for ReadError {
     fn fault(&self) -> Fault {
         match self {
             Self::Manifest(error) => error.fault(),
+            #[cfg(feature = "remote")]
+            Self::Remote(error) => error.fault(),
             Self::Shard { source: SeekError::Io(error), .. }
                 if error.kind() == std::io::ErrorKind::PermissionDenied =>
             {
@@ -66,28 +82,42 @@ impl HasFault for ReadError {
 #[derive(Debug)]
 pub struct Dataset {
     root: PathBuf,
+    place: Place,
     manifest: DatasetManifest,
     digest: Digest,
     index: BTreeMap<TileId, IndexEntry>,
+    shards: BTreeMap<String, Digest>,
 }
 
 impl Dataset {
-    /// Opens a dataset by its manifest, whose SHA-256 must be that in `SHA256SUMS`.
+    /// Opens a dataset by its manifest, whose SHA-256 must be that in `SHA256SUMS`. With the feature
+    /// `remote` the location may also be `http(s)://` or `s3://`, see [`Dataset::open_with`].
     ///
     /// # Errors
     /// [`ReadError::Manifest`], also for a build that was interrupted.
-    pub fn open(root: &Path) -> Result<Self, ReadError> {
-        let (manifest, digest) = load::<DatasetManifest>(root, "shard", DatasetManifest::SCHEMA)?;
-        let sums = root.join(SUMS);
-        let sums = std::fs::read_to_string(&sums).map_err(FileError::new("read", &sums));
-        let sums = sums.map_err(ManifestError::File)?;
-        check(&manifest, &digest, &sums).map_err(|reason| ManifestError::Invalid {
-            path: root.join(MANIFEST),
-            reason,
-            stage: "shard",
-        })?;
+    pub fn open(location: &Path) -> Result<Self, ReadError> {
+        Self::open_with(location, &RemoteConfig::default())
+    }
+
+    /// As [`Dataset::open`], with settings for datasets on servers: their manifest is read now, a
+    /// shard when one of its records is wanted.
+    ///
+    /// # Errors
+    /// As [`Dataset::open`], and if the server or the cache fails.
+    pub fn open_with(location: &Path, config: &RemoteConfig) -> Result<Self, ReadError> {
+        let place = Place::of(location, config)?;
+        let bytes = place.read(MANIFEST)?;
+        let path = location.join(MANIFEST);
+        let schema = DatasetManifest::SCHEMA;
+        let manifest: DatasetManifest = parse(&bytes, &path, "shard", schema)?;
+        let digest = sha256_bytes(&bytes);
+        let sums = place.read(SUMS)?;
+        check(&manifest, &digest, &String::from_utf8_lossy(&sums))
+            .map_err(|reason| ManifestError::Invalid { path, reason, stage: "shard" })?;
         let index = manifest.records.iter().map(|entry| (entry.id, entry.clone())).collect();
-        Ok(Self { root: root.to_owned(), manifest, digest, index })
+        let shards = manifest.shards.iter();
+        let shards = shards.map(|shard| (shard.file.clone(), shard.digest.clone())).collect();
+        Ok(Self { root: location.to_owned(), place, manifest, digest, index, shards })
     }
 
     /// The manifest.
@@ -175,7 +205,17 @@ impl Dataset {
 
     /// Opens a shard by its path within the dataset.
     pub(super) fn open_shard(&self, file: &str) -> Result<ShardReader, ReadError> {
-        ShardReader::open(&self.root.join(file))
+        let path = self.root.join(file);
+        let Some(digest) = self.shards.get(file) else {
+            let source = SeekError::Table("the manifest has no such shard".to_owned());
+            return Err(ReadError::Shard { shard: path, source });
+        };
+        ShardReader::new(path, self.place.open(file, digest)?)
+    }
+
+    /// Whether shards have to be downloaded, and are worth asking for ahead of their use.
+    pub(super) fn is_far(&self) -> bool {
+        self.place.is_far()
     }
 
     /// Reads a record that an open shard has, and makes sure that it is the one that the index

@@ -206,10 +206,10 @@ impl Record {
             height >= 0.0 && height.is_finite() && rsrp.is_finite() && is_kind
         };
         // Without an early end, which would cost each record that is read more than it saves.
-        let all_sound = Zip::from(&grids.height_m).and(&grids.rsrp_dbm).and(&grids.mask).fold(
-            true,
-            |sound, &height, &rsrp, &kind| sound & is_sound(height, rsrp, kind),
-        );
+        let all_sound = Zip::from(&grids.height_m)
+            .and(&grids.rsrp_dbm)
+            .and(&grids.mask)
+            .fold(true, |sound, &height, &rsrp, &kind| sound & is_sound(height, rsrp, kind));
         if all_sound {
             return Ok(grids);
         }

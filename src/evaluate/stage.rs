@@ -92,7 +92,7 @@ pub struct EvaluateJob<'a> {
 /// # Errors
 /// [`EvaluateError`]; nothing is left under a final name then.
 pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report, EvaluateError> {
-    let dataset = Dataset::open(job.dataset)?;
+    let dataset = Dataset::open_with(job.dataset, &job.config.remote)?;
     let records = records(&dataset, job)?;
     let config = job.config;
     let split = job.split.map_or("all", Split::name).to_owned();

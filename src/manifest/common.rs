@@ -118,15 +118,27 @@ pub fn load<T: DeserializeOwned>(
         }
         Err(error) => return Err(FileError::new("read", &path)(error).into()),
     };
-    let invalid = |reason: String| ManifestError::Invalid { path: path.clone(), reason, stage };
+    Ok((parse(&bytes, &path, stage, schema)?, sha256_bytes(&bytes)))
+}
+
+/// Reads a manifest that was found at `path`.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse<T: DeserializeOwned>(
+    bytes: &[u8],
+    path: &Path,
+    stage: &'static str,
+    schema: &str,
+) -> Result<T, ManifestError> {
+    let invalid = |reason: String| ManifestError::Invalid { path: path.to_owned(), reason, stage };
     let value: serde_json::Value =
-        serde_json::from_slice(&bytes).map_err(|error| invalid(format!("no JSON: {error}")))?;
+        serde_json::from_slice(bytes).map_err(|error| invalid(format!("no JSON: {error}")))?;
     let found = value.get("schema").and_then(serde_json::Value::as_str).unwrap_or("none");
     if found != schema {
         return Err(invalid(format!("schema is {found:?}, not {schema:?}")));
     }
-    let manifest = serde_json::from_value(value).map_err(|error| invalid(error.to_string()))?;
-    Ok((manifest, sha256_bytes(&bytes)))
+    serde_json::from_value(value).map_err(|error| invalid(error.to_string()))
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ mod rsrp;
 mod scenes;
 mod tiles;
 
-pub use common::{Input, ManifestError, Software, fingerprint, load, to_json};
+pub use common::{Input, ManifestError, Software, fingerprint, load, parse, to_json};
 pub use dataset::{
     DatasetConfig, DatasetManifest, Dropped, IndexEntry, RsrpHistogram, ShardEntry, SplitStatistics,
 };

@@ -30,6 +30,15 @@ pub(super) fn sync_file(path: &Path) -> Result<(), FileError> {
     sync.map_err(FileError::new("sync", path))
 }
 
+/// Whether an open file is still the one at a path: its owner may have removed it.
+pub(super) fn is_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    match (file.metadata(), path.metadata()) {
+        (Ok(open), Ok(there)) => (open.dev(), open.ino()) == (there.dev(), there.ino()),
+        _ => false,
+    }
+}
+
 #[derive(Clone, Copy)]
 enum Sync {
     Now,

@@ -8,6 +8,8 @@ mod hash;
 mod npy;
 mod npz;
 mod output;
+#[cfg(feature = "remote")]
+mod remote;
 mod seekable;
 
 pub use atomic::write_atomic;
@@ -15,4 +17,6 @@ pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
 pub use output::{MANIFEST, OutputDir, OutputError, SUMS, parse_sums};
+#[cfg(feature = "remote")]
+pub use remote::{Remote, RemoteError};
 pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::atomic::{TEMPORARY_PREFIX, sync_file, write_unsynced};
+use super::atomic::{TEMPORARY_PREFIX, is_at, sync_file, write_unsynced};
 use super::{Digest, sha256_bytes, sha256_file, write_atomic};
 use crate::error::{Fault, FileError, HasFault};
 
@@ -375,15 +375,6 @@ fn remove_inside(root: &Path, names: impl Iterator<Item = String>) -> Result<(),
         }
     }
     Ok(())
-}
-
-/// Whether an open file is still the one at a path: its owner may have removed it.
-fn is_at(file: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    match (file.metadata(), path.metadata()) {
-        (Ok(open), Ok(there)) => (open.dev(), open.ino()) == (there.dev(), there.ino()),
-        _ => false,
-    }
 }
 
 /// Waits until all files and the directories that name them are on the disk.

@@ -5,6 +5,7 @@
 //! a queue puts their results back into order and keeps them from running ahead too far. So
 //! neither the number of threads nor an interruption changes what comes next.
 
+mod ahead;
 mod kept;
 mod options;
 mod order;
@@ -98,8 +99,8 @@ pub struct Loaded<T> {
 /// [`Order`].
 ///
 /// A record that cannot be read is an error in its place, or left out ([`OnDamage`]); the next one
-/// follows. Dropping the loader ends its threads; at most the record that each of them has begun
-/// is awaited.
+/// follows. Dropping the loader ends its threads; at most the record that each of them has begun,
+/// or the shard that it downloads, is awaited.
 #[derive(Debug)]
 pub struct Loader<T> {
     plan: Arc<Plan>,
@@ -163,10 +164,17 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         for _ in 0..threads.get() {
             let open = OPEN_SHARDS / threads;
             let plan = Arc::clone(&loader.plan);
-            let worker =
-                Worker::new(dataset, plan, cursor, open, &decode, loader.kept.as_ref());
+            let worker = Worker::new(dataset, plan, cursor, open, &decode, loader.kept.as_ref());
             let queue = Arc::clone(&loader.queue);
-            let thread = Builder::new().name("loader".to_owned()).spawn(move || worker.work(&queue));
+            let thread =
+                Builder::new().name("loader".to_owned()).spawn(move || worker.work(&queue));
+            loader.workers.push(thread.map_err(LoaderError::Thread)?);
+        }
+        if dataset.is_far() {
+            let (dataset, plan) = (Arc::clone(dataset), Arc::clone(&loader.plan));
+            let queue = Arc::clone(&loader.queue);
+            let download = move || ahead::download(&dataset, split, &plan, cursor, &queue);
+            let thread = Builder::new().name("download".to_owned()).spawn(download);
             loader.workers.push(thread.map_err(LoaderError::Thread)?);
         }
         Ok(loader)

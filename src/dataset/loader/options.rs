@@ -34,6 +34,11 @@ impl Share {
         from.wrapping_add((rank + world - from % world) % world)
     }
 
+    /// Items of the share from its cursor `first` on that come before another cursor.
+    pub(super) fn items(self, first: u64, cursor: u64) -> u64 {
+        cursor.saturating_sub(first) / u64::from(self.world.get())
+    }
+
     /// The cursor that comes so many items after another one of the share.
     pub(super) fn after(self, cursor: u64, items: u64) -> u64 {
         cursor.wrapping_add(items.wrapping_mul(self.world.get().into()))

@@ -43,11 +43,7 @@ impl Order {
     /// The shuffle of shards of so many records, `block` of them at a time. `None` without shards,
     /// or with 2^32 records.
     #[must_use]
-    pub fn of_blocks(
-        seed: u64,
-        shards: &[NonZero<u32>],
-        block: NonZero<usize>,
-    ) -> Option<Self> {
+    pub fn of_blocks(seed: u64, shards: &[NonZero<u32>], block: NonZero<usize>) -> Option<Self> {
         let mut starts = Vec::with_capacity(shards.len());
         let mut records = 0_u32;
         for size in shards {
@@ -93,8 +89,9 @@ impl Order {
         };
         // Another key than that of the first block, which counts from 0.
         let of_shards = mix(key ^ u64::MAX);
-        let order: Vec<_> =
-            (0..shards).map(|at| size(permute(of_shards, shards as u32, at as u32) as usize)).collect();
+        let order: Vec<_> = (0..shards)
+            .map(|at| size(permute(of_shards, shards as u32, at as u32) as usize))
+            .collect();
         let mut first = 0;
         let blocks = order.chunks(self.block.get()).map(|shards| {
             let block = Block { first, shards: shards.to_vec() };
@@ -143,6 +140,13 @@ impl Epoch {
     #[must_use]
     pub fn number(&self) -> u64 {
         self.number
+    }
+
+    /// The blocks from that of a place on: the place where each begins, and the first record and
+    /// number of records of what it is made of.
+    pub(super) fn blocks(&self, place: u32) -> impl Iterator<Item = (u32, &[(u32, u32)])> {
+        let first = self.blocks.partition_point(|block| block.first <= place) - 1;
+        self.blocks[first..].iter().map(|block| (block.first, &block.shards[..]))
     }
 
     /// The number of the record at a place of the epoch, below the number of records.

@@ -16,6 +16,8 @@ pub(super) struct Queue<R> {
     filled: Condvar,
     /// Signals the workers: an item may be claimed, or there is nothing left to do.
     freed: Condvar,
+    /// Signals who waits for the consumer: an item was taken, or the queue was stopped.
+    taken: Condvar,
 }
 
 #[derive(Debug)]
@@ -32,7 +34,8 @@ impl<R> Queue<R> {
     pub(super) fn new(window: NonZero<usize>) -> Self {
         let (results, stopped) = (BTreeMap::new(), false);
         let state = Mutex::new(State { wanted: 0, unclaimed: 0, results, stopped });
-        Self { window, state, filled: Condvar::new(), freed: Condvar::new() }
+        let (filled, freed, taken) = (Condvar::new(), Condvar::new(), Condvar::new());
+        Self { window, state, filled, freed, taken }
     }
 
     fn lock(&self) -> MutexGuard<'_, State<R>> {
@@ -47,9 +50,8 @@ impl<R> Queue<R> {
     /// [`Queue::stop`].
     pub(super) fn claim(&self) -> Option<u64> {
         let window = self.window.get() as u64;
-        let is_full = |state: &mut State<R>| {
-            !state.stopped && state.unclaimed - state.wanted >= window
-        };
+        let is_full =
+            |state: &mut State<R>| !state.stopped && state.unclaimed - state.wanted >= window;
         let waited = self.freed.wait_while(self.lock(), is_full);
         let mut state = waited.expect("nothing panics while it holds the lock");
         if state.stopped {
@@ -78,6 +80,7 @@ impl<R> Queue<R> {
             if let Some(result) = state.results.remove(&wanted) {
                 state.wanted = wanted + 1;
                 self.freed.notify_one();
+                self.taken.notify_all();
                 return (result, waited);
             }
             let begin = Instant::now();
@@ -86,10 +89,22 @@ impl<R> Queue<R> {
         }
     }
 
+    /// Waits until the consumer has come to an item; false after [`Queue::stop`].
+    pub(super) fn wait_for(&self, item: u64) -> bool {
+        let is_early = |state: &mut State<R>| !state.stopped && state.wanted < item;
+        let waited = self.taken.wait_while(self.lock(), is_early);
+        !waited.expect("nothing panics while it holds the lock").stopped
+    }
+
+    pub(super) fn is_stopped(&self) -> bool {
+        self.lock().stopped
+    }
+
     /// Sends the workers home.
     pub(super) fn stop(&self) {
         self.lock().stopped = true;
         self.freed.notify_all();
+        self.taken.notify_all();
     }
 }
 
@@ -133,6 +148,25 @@ mod tests {
             let claimed = blocked.into_iter().filter_map(|it| it.join().expect("no panic"));
             assert_eq!(claimed.collect::<Vec<_>>(), [3]);
         });
+    }
+
+    #[test]
+    fn others_can_wait_for_the_consumer() {
+        let queue = queue(4);
+        (0..3).for_each(|item| queue.put(item, item));
+        assert!(queue.wait_for(0), "it is there already");
+        thread::scope(|scope| {
+            let second = scope.spawn(|| queue.wait_for(2));
+            queue.take();
+            thread::sleep(Duration::from_millis(20));
+            assert!(!second.is_finished(), "one item was taken");
+            queue.take();
+            assert!(second.join().expect("no panic"));
+            let never = scope.spawn(|| queue.wait_for(9));
+            queue.stop();
+            assert!(!never.join().expect("no panic"));
+        });
+        assert!(queue.is_stopped());
     }
 
     #[test]

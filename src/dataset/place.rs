@@ -1,0 +1,84 @@
+//! Where the files of a dataset come from: a directory, or with the feature `remote` a server.
+
+use std::fs::File;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use super::read::ReadError;
+use crate::config::RemoteConfig;
+use crate::error::FileError;
+use crate::manifest::ManifestError;
+#[cfg(feature = "remote")]
+use crate::store::Remote;
+use crate::store::{Digest, SeekError};
+
+/// Where a dataset lies.
+#[derive(Debug)]
+pub(super) enum Place {
+    Directory(PathBuf),
+    #[cfg(feature = "remote")]
+    Server(Box<Remote>),
+}
+
+impl Place {
+    pub(super) fn of(location: &Path, config: &RemoteConfig) -> Result<Self, ReadError> {
+        match location.to_str().filter(|text| is_url(text)) {
+            Some(url) => Self::server(url, config),
+            None => Ok(Self::Directory(location.to_owned())),
+        }
+    }
+
+    #[cfg(feature = "remote")]
+    fn server(url: &str, config: &RemoteConfig) -> Result<Self, ReadError> {
+        Ok(Self::Server(Box::new(Remote::open(url, config)?)))
+    }
+
+    #[cfg(not(feature = "remote"))]
+    fn server(url: &str, _: &RemoteConfig) -> Result<Self, ReadError> {
+        Err(ReadError::NoRemote { url: url.to_owned() })
+    }
+
+    /// Whether a file may have to be waited for.
+    pub(super) fn is_far(&self) -> bool {
+        !matches!(self, Self::Directory(_))
+    }
+
+    /// A file that says what the others must be.
+    pub(super) fn read(&self, name: &str) -> Result<Vec<u8>, ReadError> {
+        let directory = match self {
+            Self::Directory(directory) => directory,
+            #[cfg(feature = "remote")]
+            Self::Server(server) => return Ok(server.read(name)?),
+        };
+        let path = directory.join(name);
+        let read = std::fs::read(&path).map_err(|error| match error.kind() {
+            ErrorKind::NotFound => {
+                ManifestError::Absent { directory: directory.clone(), stage: "shard" }
+            }
+            _ => FileError::new("read", &path)(error).into(),
+        });
+        Ok(read?)
+    }
+
+    /// A file of which the manifest tells the content. One in a directory is checked as it is
+    /// read, one from a server before.
+    #[cfg_attr(not(feature = "remote"), expect(unused_variables, reason = "for servers"))]
+    pub(super) fn open(&self, name: &str, digest: &Digest) -> Result<File, ReadError> {
+        match self {
+            Self::Directory(directory) => {
+                let path = directory.join(name);
+                File::open(&path).map_err(|error| {
+                    let error = FileError::new("read", &path)(error);
+                    let source = SeekError::Io(std::io::Error::other(error));
+                    ReadError::Shard { shard: path, source }
+                })
+            }
+            #[cfg(feature = "remote")]
+            Self::Server(server) => Ok(server.fetch(name, digest)?),
+        }
+    }
+}
+
+fn is_url(text: &str) -> bool {
+    ["http://", "https://", "s3://"].iter().any(|scheme| text.starts_with(scheme))
+}

@@ -1,0 +1,244 @@
+//! Published directories: files at `http(s)://` or `s3://`, downloaded to a cache and checked
+//! before use.
+//!
+//! Downloads are named by the SHA-256 that a manifest tells, so that several datasets, versions
+//! and processes share a cache. A download that breaks off goes on where it ended, also in
+//! another process; one whose bytes are not those promised is made once more from its beginning.
+
+mod cache;
+mod download;
+
+use std::fs::File;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
+use object_store::http::HttpBuilder;
+use object_store::path::Path as ObjectPath;
+use object_store::{ClientConfigKey, ObjectStore, ObjectStoreScheme, RetryConfig};
+use tokio::runtime::{Builder, Runtime};
+
+use self::cache::Cache;
+use self::download::{Source, download, download_small};
+use super::Digest;
+use crate::config::RemoteConfig;
+use crate::error::{Fault, FileError, HasFault};
+
+/// Why a file cannot be had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RemoteError {
+    /// Not an address that can be read.
+    #[error("{url}: {reason}; expected http://, https:// or s3:// and a directory")]
+    Url {
+        /// The address.
+        url: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The file is not there.
+    #[error("{url}: not found; expected a file of a dataset or release")]
+    NotFound {
+        /// The file.
+        url: String,
+    },
+    /// The server or the network failed, each time.
+    #[error("{url}: failed {attempts} times in a row, the last time: {reason}")]
+    Failed {
+        /// The file.
+        url: String,
+        /// How often it was tried without a new byte.
+        attempts: u32,
+        /// Why it failed at last.
+        reason: String,
+    },
+    /// The server has a file of another size than the manifest promises.
+    #[error("{url}: has {found} bytes, the manifest says {expected}")]
+    Size {
+        /// The file.
+        url: String,
+        /// From the manifest.
+        expected: u64,
+        /// From the server.
+        found: u64,
+    },
+    /// The server gives other bytes than the manifest promises.
+    #[error("{url}: is {found}, the manifest says {expected}; downloaded twice")]
+    Damaged {
+        /// The file.
+        url: String,
+        /// From the manifest.
+        expected: Digest,
+        /// What was downloaded.
+        found: Digest,
+    },
+    /// A manifest of somebody's that names no SHA-256.
+    #[error("{url}: {sha256:?} is no SHA-256")]
+    NoDigest {
+        /// The file.
+        url: String,
+        /// What the manifest has.
+        sha256: String,
+    },
+    /// More than the cache may hold.
+    #[error(
+        "{url}: {bytes} bytes do not fit into the cache of {limit}; raise remote.cache_mb, or read \
+         fewer shards at a time"
+    )]
+    CacheTooSmall {
+        /// The file.
+        url: String,
+        /// Its size.
+        bytes: u64,
+        /// The size of the cache, in bytes.
+        limit: u64,
+    },
+    /// The cache cannot be used.
+    #[error(transparent)]
+    Cache(#[from] FileError),
+    /// No memory or threads for the network.
+    #[error("cannot start the network: {0}")]
+    Runtime(std::io::Error),
+}
+
+impl HasFault for RemoteError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Failed { .. } | Self::Runtime(_) => Fault::Running,
+            Self::Cache(error) => error.fault(),
+            _ => Fault::Input,
+        }
+    }
+}
+
+/// A published directory.
+#[derive(Debug)]
+pub struct Remote {
+    url: String,
+    store: Box<dyn ObjectStore>,
+    base: ObjectPath,
+    attempts: u32,
+    cache: Cache,
+    runtime: Runtime,
+}
+
+impl Remote {
+    /// Prepares to read a directory; nothing is transferred yet. For `s3://` the environment is
+    /// asked for keys, region and endpoint (`AWS_ACCESS_KEY_ID`, `AWS_REGION`, `AWS_ENDPOINT_URL` ...;
+    /// `AWS_SKIP_SIGNATURE=true` for public buckets).
+    ///
+    /// # Errors
+    /// [`RemoteError::Url`], or if the cache cannot be made.
+    pub fn open(url: &str, config: &RemoteConfig) -> Result<Self, RemoteError> {
+        let wrong = |reason: String| RemoteError::Url { url: url.to_owned(), reason };
+        let parsed = url.parse().map_err(|error| wrong(format!("{error}")))?;
+        let (scheme, path) =
+            ObjectStoreScheme::parse(&parsed).map_err(|error| wrong(error.to_string()))?;
+        // Each attempt that brings a byte begins the count anew, which the crate's does not.
+        let retry = RetryConfig { max_retries: 0, ..RetryConfig::default() };
+        let limits = [
+            (ClientConfigKey::ConnectTimeout, "10s".to_owned()),
+            (ClientConfigKey::ReadTimeout, format!("{}s", config.timeout_s)),
+            // A large shard on a slow line may take its time.
+            (ClientConfigKey::Timeout, "1day".to_owned()),
+        ];
+        let (store, base): (Box<dyn ObjectStore>, _) = match scheme {
+            ObjectStoreScheme::Http => {
+                let mut builder = HttpBuilder::new().with_url(url).with_retry(retry);
+                builder = builder.with_config(ClientConfigKey::AllowHttp, "true");
+                for (key, value) in limits {
+                    builder = builder.with_config(key, value);
+                }
+                let store = builder.build().map_err(|error| wrong(error.to_string()))?;
+                (Box::new(store), ObjectPath::default())
+            }
+            ObjectStoreScheme::AmazonS3 => {
+                let mut builder = AmazonS3Builder::from_env().with_url(url).with_retry(retry);
+                for (key, value) in limits {
+                    builder = builder.with_config(AmazonS3ConfigKey::Client(key), value);
+                }
+                let store = builder.build().map_err(|error| wrong(error.to_string()))?;
+                (Box::new(store), path)
+            }
+            _ => return Err(wrong("another kind of address".to_owned())),
+        };
+        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = runtime.map_err(RemoteError::Runtime)?;
+        let directory = config.cache_dir.clone().unwrap_or_else(default_cache);
+        let cache = Cache::open(directory, u64::from(config.cache_mb) * 1_000_000)?;
+        let url = url.trim_end_matches('/').to_owned();
+        Ok(Self { url, store, base, attempts: config.attempts, cache, runtime })
+    }
+
+    /// A file that no manifest names, whole.
+    ///
+    /// # Errors
+    /// [`RemoteError`] names the address.
+    pub fn read(&self, name: &str) -> Result<Vec<u8>, RemoteError> {
+        self.runtime.block_on(download_small(&self.source(name)))
+    }
+
+    /// A file of which the content is known: from the cache, or downloaded to it. Several threads
+    /// and processes may ask at once; one of them downloads.
+    ///
+    /// # Errors
+    /// [`RemoteError`] names the address.
+    pub fn fetch(&self, name: &str, digest: &Digest) -> Result<File, RemoteError> {
+        let source = self.source(name);
+        let url = || source.url.clone();
+        if !is_sha256(&digest.sha256) {
+            return Err(RemoteError::NoDigest { url: url(), sha256: digest.sha256.clone() });
+        }
+        if let Some(file) = self.cache.get(digest)? {
+            return Ok(file);
+        }
+        let (bytes, limit) = (digest.bytes, self.cache.limit());
+        if bytes > limit {
+            return Err(RemoteError::CacheTooSmall { url: url(), bytes, limit });
+        }
+        let mut part = self.cache.lock_part(digest)?;
+        // Somebody else may have been quicker.
+        if let Some(file) = self.cache.get(digest)? {
+            part.discard()?;
+            return Ok(file);
+        }
+        self.cache.make_room(digest)?;
+        let mut found = None;
+        for _ in 0..2 {
+            self.runtime.block_on(download(&source, &mut part, digest))?;
+            let is = part.digest()?;
+            if is == *digest {
+                return Ok(self.cache.put(&part, digest)?);
+            }
+            part.empty()?;
+            found = Some(is);
+        }
+        let found = found.expect("two attempts were made");
+        part.discard()?;
+        Err(RemoteError::Damaged { url: url(), expected: digest.clone(), found })
+    }
+
+    fn source(&self, name: &str) -> Source<'_> {
+        let path = name.split('/').fold(self.base.clone(), ObjectPath::join);
+        let url = format!("{}/{name}", self.url);
+        Source { store: &*self.store, path, url, attempts: self.attempts }
+    }
+}
+
+fn is_sha256(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+}
+
+/// Where downloads are kept if the configuration does not say.
+fn default_cache() -> PathBuf {
+    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+    let base = set("XDG_CACHE_HOME").map(PathBuf::from);
+    let base = base.or_else(|| Some(PathBuf::from(set("HOME")?).join(".cache")));
+    base.unwrap_or_else(std::env::temp_dir).join("holescout")
+}
+
+/// How long to wait after so many failures in a row: a tenth of a second, doubled each time, at
+/// most ten seconds.
+fn pause(failures: u32) -> Duration {
+    Duration::from_millis(100).saturating_mul(1 << failures.min(10)).min(Duration::from_secs(10))
+}
