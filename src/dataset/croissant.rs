@@ -240,7 +240,7 @@ fn shards_of(split: Split) -> Value {
     })
 }
 
-fn record_set(id: &str, key: &str, text: &str, fields: Vec<Value>) -> Value {
+fn record_set(id: &str, key: &str, text: &str, fields: &[Value]) -> Value {
     json!({
         "@type": "cr:RecordSet",
         "@id": id,
@@ -251,7 +251,7 @@ fn record_set(id: &str, key: &str, text: &str, fields: Vec<Value>) -> Value {
     })
 }
 
-fn field(set: &str, [name, kind, text]: [&str; 3], source: Value) -> Value {
+fn field(set: &str, [name, kind, text]: [&str; 3], source: &Value) -> Value {
     json!({
         "@type": "cr:Field",
         "@id": format!("{set}/{name}"),
@@ -264,17 +264,17 @@ fn field(set: &str, [name, kind, text]: [&str; 3], source: Value) -> Value {
 
 fn in_manifest(set: &str, column: [&str; 3], path: &str) -> Value {
     let source = json!({ "fileObject": { "@id": MANIFEST }, "extract": { "jsonPath": path } });
-    field(set, column, source)
+    field(set, column, &source)
 }
 
 /// The records as `records.csv` has them.
 fn table_of_records() -> Value {
-    let fields = COLUMNS.iter().map(|column| {
+    let fields = COLUMNS.map(|column| {
         let extract = json!({ "column": column[0] });
         let source = json!({ "fileObject": { "@id": TABLE }, "extract": extract });
-        field("records", *column, source)
+        field("records", column, &source)
     });
-    record_set("records", "id", "Every record, without its arrays.", fields.collect())
+    record_set("records", "id", "Every record, without its arrays.", &fields)
 }
 
 /// The records as the manifest has them.
@@ -282,7 +282,7 @@ fn index_of_records() -> Value {
     let columns = COLUMNS.iter().filter(|[name, ..]| ["id", "shard", "frame"].contains(name));
     let fields = columns
         .map(|column| in_manifest("records", *column, &format!("$.records[*].{}", column[0])));
-    record_set("records", "id", "Where every record is.", fields.collect())
+    record_set("records", "id", "Where every record is.", &fields.collect::<Vec<_>>())
 }
 
 fn table_of_shards() -> Value {
@@ -293,7 +293,7 @@ fn table_of_shards() -> Value {
     ];
     let fields =
         columns.map(|column| in_manifest("shards", column, &format!("$.shards[*].{}", column[0])));
-    record_set("shards", "file", "Every shard.", fields.to_vec())
+    record_set("shards", "file", "Every shard.", &fields)
 }
 
 /// The context that `mlcroissant` calls standard for Croissant 1.1, and the prefix of `GeoCroissant`.

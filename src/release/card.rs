@@ -39,6 +39,16 @@ pub(super) fn readme(manifest: &DatasetManifest, scan: &Scan, shown: &[(TileId, 
     sections.join("\n")
 }
 
+/// `NOTICE`: that of the dataset, and where the radio maps are listed.
+pub(super) fn notice(manifest: &DatasetManifest, scan: &Scan) -> String {
+    format!(
+        "{}\nRadio maps of these buildings were taken from {} files; `{INPUTS}` names each with its \
+         SHA-256.\n",
+        card::notice(manifest),
+        scan.maps.len()
+    )
+}
+
 /// The metadata that Hugging Face reads from a card.
 fn front_matter(manifest: &DatasetManifest, title: &str) -> String {
     let size = match manifest.records.len() {
@@ -91,14 +101,15 @@ fn figures(manifest: &DatasetManifest) -> String {
 }
 
 fn pictures(shown: &[(TileId, Split)]) -> String {
-    let list: String = shown
+    let list: Vec<String> = shown
         .iter()
         .map(|(id, split)| format!("\n![{id} ({split})]({FOLDER}/{id}.png)\n"))
         .collect();
     format!(
         "{} records, of each split in turn by a hash of their names: heights, RSRP, coverage holes; \
-         north is up, the cross is the base station.\n{list}",
-        shown.len()
+         north is up, the cross is the base station.\n{}",
+        shown.len(),
+        list.concat()
     )
 }
 
@@ -116,10 +127,10 @@ fn radio_maps(scan: &Scan) -> String {
     let mut kinds: Vec<(&String, &u64)> = scan.radio.iter().collect();
     kinds.sort_by_key(|(_, records)| std::cmp::Reverse(**records));
     let named = kinds.iter().take(MOST_KINDS);
-    let mut text: String =
+    let mut lines: Vec<String> =
         named.map(|(kind, records)| format!("- {records} records: {kind}\n")).collect();
     if kinds.len() > MOST_KINDS {
-        text += &format!("- {} more kinds\n", kinds.len() - MOST_KINDS);
+        lines.push(format!("- {} more kinds\n", kinds.len() - MOST_KINDS));
     }
     let [lowest, highest] = scan.power_dbm;
     let power = if lowest == highest {
@@ -128,9 +139,10 @@ fn radio_maps(scan: &Scan) -> String {
         format!("{lowest} to {highest} dBm")
     };
     format!(
-        "Levels were ray-traced, one base station a record, {power} per resource element:\n\n{text}\n\
+        "Levels were ray-traced, one base station a record, {power} per resource element:\n\n{}\n\
          Each record tells its base station, its radio parameters, and the file that its map came \
-         from with its SHA-256.\n"
+         from with its SHA-256.\n",
+        lines.concat()
     )
 }
 
@@ -173,7 +185,7 @@ fn limits(manifest: &DatasetManifest) -> String {
         "- Not for planning or running a network, nor for saying where somebody has service: nothing \
            here was measured.\n\
          - Ray tracing knows the materials that it was given, one for all walls as a rule, and no \
-           vegetation, vehicles, people, terrain or weather. Its levels are medians of nothing.\n\
+           vegetation, vehicles, people, terrain or weather.\n\
          - One base station a record. In a network a hole of one is covered by another.\n\
          - {guessed:.1} % of the built-up area has a guessed height; a guess moves shadows.\n\
          - Buildings are as OpenStreetMap had them in the extract: some are missing, some are gone.\n\

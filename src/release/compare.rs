@@ -107,3 +107,56 @@ pub(super) fn changed_files(
         })),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::example;
+    use crate::units::Dbm;
+    use serde_json::json;
+
+    #[test]
+    fn fields_that_differ_are_named_and_the_split_is_none() {
+        let (record, _) = example();
+        let mut other = record.clone();
+        other.split = crate::config::Split::Val;
+        assert_eq!(changed_fields(&record, &other), [""; 0]);
+        other.mask[10] ^= 1;
+        other.floor_dbm = Dbm(-150.0);
+        other.provenance.tile_sha256.clear();
+        assert_eq!(changed_fields(&record, &other), ["mask", "floor_dbm", PROVENANCE]);
+    }
+
+    #[test]
+    fn nested_keys_are_told_with_dots() {
+        let a = json!({ "grid": { "side_m": 1, "crop_m": 2 }, "list": [1, 2], "gone": true });
+        let b = json!({ "grid": { "side_m": 1, "crop_m": 3 }, "list": [1], "new": { "x": 1 } });
+        let change = |key: &str, old: Value, new: Value| {
+            let some = |value: Value| (!value.is_null()).then_some(value);
+            Change { key: key.to_owned(), old: some(old), new: some(new) }
+        };
+        let expected = [
+            change("gone", json!(true), json!(null)),
+            change("grid.crop_m", json!(2), json!(3)),
+            change("list", json!([1, 2]), json!([1])),
+            change("new.x", json!(null), json!(1)),
+        ];
+        assert_eq!(changed_keys(&a, &b), expected);
+        assert_eq!(changed_keys(&a, &a), []);
+    }
+
+    #[test]
+    fn files_are_new_gone_or_other_ones() {
+        let files = |files: &[(&str, &str)]| {
+            let owned = files.iter().map(|(name, sum)| ((*name).to_owned(), (*sum).to_owned()));
+            owned.collect::<BTreeMap<_, _>>()
+        };
+        let a = files(&[("a", "1"), ("b", "1"), ("c", "1")]);
+        let b = files(&[("b", "2"), ("c", "1"), ("d", "1")]);
+        let FileChanges { added, removed, changed } = changed_files(&a, &b);
+        assert_eq!(
+            (added, removed, changed),
+            (vec!["d".into()], vec!["a".into()], vec!["b".into()])
+        );
+    }
+}

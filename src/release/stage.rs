@@ -10,8 +10,7 @@ use super::diff::{DiffError, compare, sums};
 use super::scan::scan;
 use super::version::{is_enough, least};
 use super::{card, charts, rebuild};
-use crate::dataset::{Dataset, ReadError, Record};
-use crate::dataset::{card as texts, croissant};
+use crate::dataset::{Dataset, ReadError, Record, croissant};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{
     DatasetManifest, Release, ShardEntry, Software, fingerprint, json_schema, to_json,
@@ -105,13 +104,13 @@ pub enum ReleaseError {
     )]
     Version {
         /// What was asked for.
-        version: Version,
+        version: String,
         /// That of the previous release.
-        previous: Version,
+        previous: String,
         /// What asks for a larger step.
         reason: String,
         /// The least version that would do.
-        least: Version,
+        least: String,
     },
     /// What should be the previous release is a dataset.
     #[error("{}: no release: its manifest has no version", .0.display())]
@@ -212,7 +211,7 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
     output.write(SCHEMA, &json_schema::<Record>())?;
     output.write(rebuild::CONFIG, rebuild::config_toml(&manifest).as_bytes())?;
     output.write(rebuild::INPUTS, rebuild::inputs(&manifest, &scan).as_bytes())?;
-    output.write(NOTICE, texts::notice(&manifest).as_bytes())?;
+    output.write(NOTICE, card::notice(&manifest, &scan).as_bytes())?;
     output.write(README, card::readme(&manifest, &scan, &shown).as_bytes())?;
     output.complete(&bytes)?;
 
@@ -273,11 +272,15 @@ fn count_files(manifest: &DatasetManifest, pictures: usize) -> Result<usize, Rel
     }
     let room = (MOST_FILES - OTHER_FILES - charts::RECORDS) as u64;
     let records: Vec<u64> = manifest.statistics.values().map(|split| split.records).collect();
-    let fits = |size: &u32| {
-        records.iter().map(|records| records.div_ceil(u64::from(*size))).sum::<u64>() <= room
-    };
-    let enough = (manifest.config.shard.records_per_shard..=1 << 16).find(fits);
+    let enough = enough(&records, manifest.config.shard.records_per_shard, room);
     Err(ReleaseError::TooManyFiles { shards, files, enough })
+}
+
+/// The least number of records in a shard, from one on, with which the splits' records fill no more
+/// shards than there is room for.
+fn enough(records: &[u64], from: u32, room: u64) -> Option<u32> {
+    let shards = |size: u32| records.iter().map(move |split| split.div_ceil(u64::from(size)));
+    (from..=1 << 16).find(|&size| shards(size).sum::<u64>() <= room)
 }
 
 fn folder(manifest: &DatasetManifest) -> String {
@@ -346,8 +349,9 @@ fn check_version(
         return Ok(());
     }
     let reason = changes.reasons.first().map_or("it changed", |reason| &reason.text).to_owned();
-    let least = least(&from, step);
-    Err(ReleaseError::Version { version: version.clone(), previous: from, reason, least })
+    let (version, previous) = (version.to_string(), from.to_string());
+    let least = least(&from, step).to_string();
+    Err(ReleaseError::Version { version, previous, reason, least })
 }
 
 fn copy_shards(
@@ -372,4 +376,17 @@ fn copy_shards(
     }
     progress.end();
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_many_records_in_a_shard_as_are_needed() {
+        assert_eq!(enough(&[100, 10, 10], 1, 12), Some(10));
+        assert_eq!(enough(&[100, 11, 10], 1, 12), Some(11));
+        assert_eq!(enough(&[100], 64, 12), Some(64));
+        assert_eq!(enough(&[1 << 40], 1, 79), None);
+    }
 }
