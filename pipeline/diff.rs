@@ -44,30 +44,22 @@ fn text(diff: &Diff) -> String {
         part("files removed", &files.removed),
         part("files changed", &files.changed),
     ];
-    let mut text = parts.concat();
-    text += &format!("step: {}", diff.step.name());
-    if let Some(reason) = diff.reasons.first() {
-        text += &format!(" ({})", reason.text);
-    }
-    text += "\n";
-    if diff.least_version().is_some() {
-        text += &format!("{}\n", verdict(diff));
-    }
-    text
+    let reason = diff.reasons.first().map(|reason| format!(" ({})", reason.text));
+    let step = format!("step: {}{}\n", diff.step.name(), reason.unwrap_or_default());
+    let verdict = diff.least_version().map(|_| format!("{}\n", verdict(diff)));
+    [parts.concat(), step, verdict.unwrap_or_default()].concat()
 }
 
 fn part(title: &str, lines: &[impl Display]) -> String {
     if lines.is_empty() {
         return String::new();
     }
-    let mut text = format!("{title}: {}\n", lines.len());
-    for line in lines.iter().take(MOST_PRINTED) {
-        text += &format!("  {line}\n");
-    }
+    let mut text = vec![format!("{title}: {}\n", lines.len())];
+    text.extend(lines.iter().take(MOST_PRINTED).map(|line| format!("  {line}\n")));
     if lines.len() > MOST_PRINTED {
-        text += &format!("  and {} more\n", lines.len() - MOST_PRINTED);
+        text.push(format!("  and {} more\n", lines.len() - MOST_PRINTED));
     }
-    text
+    text.concat()
 }
 
 fn in_words(changes: &[Change]) -> Vec<String> {

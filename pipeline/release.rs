@@ -51,11 +51,9 @@ pub(crate) fn run(args: &ReleaseArgs, console: &Console) -> Result<Report, Failu
         "records": records,
         "shards": released.manifest.shards.len(),
     });
-    let mut text =
-        format!("{out}: version {}, {records} records, {} files\n", args.version, released.files);
-    if let Some(archive) = archive {
-        text += &format!("{}\n", archive.display());
-    }
+    let (version, files) = (&args.version, released.files);
+    let archive = archive.map(|archive| format!("{}\n", archive.display())).unwrap_or_default();
+    let text = format!("{out}: version {version}, {records} records, {files} files\n{archive}");
     Report::new(text, &summary)
 }
 

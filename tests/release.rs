@@ -125,6 +125,8 @@ fn the_card_tells_figures_origin_limits_and_licence() {
         "GHz",
         "diffraction",
         "| tag `height` |",
+        "9 records that were left out",
+        "`SOURCE_DATE_EPOCH` must be unset",
         "Not for planning or running a network",
         "@misc{helsinki,",
         "ODbL-1.0",

@@ -84,7 +84,7 @@ pub(crate) fn croissant(
         "geocr:spatialBias": bias(manifest),
         "variableMeasured": variables(*cells),
         "distribution": files,
-        "recordSet": [records, table_of_shards()],
+        "recordSet": [records, table_of_shards(manifest)],
     });
     if let Some(release) = release {
         dataset["version"] = json!(release.version);
@@ -251,20 +251,19 @@ fn record_set(id: &str, key: &str, text: &str, fields: &[Value]) -> Value {
     })
 }
 
-fn field(set: &str, [name, kind, text]: [&str; 3], source: &Value) -> Value {
-    json!({
+/// A column of a record set; without a source, the record set holds its values itself.
+fn field(set: &str, [name, kind, text]: [&str; 3], source: Option<Value>) -> Value {
+    let mut field = json!({
         "@type": "cr:Field",
         "@id": format!("{set}/{name}"),
         "name": name,
         "description": text,
         "dataType": kind,
-        "source": source,
-    })
-}
-
-fn in_manifest(set: &str, column: [&str; 3], path: &str) -> Value {
-    let source = json!({ "fileObject": { "@id": MANIFEST }, "extract": { "jsonPath": path } });
-    field(set, column, &source)
+    });
+    if let Some(source) = source {
+        field["source"] = source;
+    }
+    field
 }
 
 /// The records as `records.csv` has them.
@@ -272,7 +271,7 @@ fn table_of_records() -> Value {
     let fields = COLUMNS.map(|column| {
         let extract = json!({ "column": column[0] });
         let source = json!({ "fileObject": { "@id": TABLE }, "extract": extract });
-        field("records", column, &source)
+        field("records", column, Some(source))
     });
     record_set("records", "id", "Every record, without its arrays.", &fields)
 }
@@ -280,20 +279,32 @@ fn table_of_records() -> Value {
 /// The records as the manifest has them.
 fn index_of_records() -> Value {
     let columns = COLUMNS.iter().filter(|[name, ..]| ["id", "shard", "frame"].contains(name));
-    let fields = columns
-        .map(|column| in_manifest("records", *column, &format!("$.records[*].{}", column[0])));
+    let fields = columns.map(|column| {
+        let extract = json!({ "jsonPath": format!("$.records[*].{}", column[0]) });
+        let source = json!({ "fileObject": { "@id": MANIFEST }, "extract": extract });
+        field("records", *column, Some(source))
+    });
     record_set("records", "id", "Where every record is.", &fields.collect::<Vec<_>>())
 }
 
-fn table_of_shards() -> Value {
+/// The shards, which are few.
+fn table_of_shards(manifest: &DatasetManifest) -> Value {
     let columns = [
         ["file", "sc:Text", "Path of the shard."],
         ["split", "sc:Text", "train, val or test."],
         ["records", "sc:Integer", "Number of records, one a frame."],
     ];
-    let fields =
-        columns.map(|column| in_manifest("shards", column, &format!("$.shards[*].{}", column[0])));
-    record_set("shards", "file", "Every shard.", &fields)
+    let fields = columns.map(|column| field("shards", column, None));
+    let mut shards = record_set("shards", "file", "Every shard.", &fields);
+    let rows = manifest.shards.iter().map(|shard| {
+        json!({
+            "shards/file": shard.file,
+            "shards/split": shard.split,
+            "shards/records": shard.records,
+        })
+    });
+    shards["data"] = rows.collect();
+    shards
 }
 
 /// The context that `mlcroissant` calls standard for Croissant 1.1, and the prefix of `GeoCroissant`.

@@ -215,6 +215,8 @@ fn rebuilding(manifest: &DatasetManifest) -> String {
         Some(_) => " Maps of a preset may also need the `--scenes` that they were imported with.",
         None => "",
     };
+    let dated = manifest.release.as_ref().is_some_and(|release| release.date.is_some());
+    let epoch = if dated { "" } else { " `SOURCE_DATE_EPOCH` must be unset." };
     let dropped = match manifest.dropped.overlapping_another_split.len() {
         0 => String::new(),
         records => format!(
@@ -225,8 +227,7 @@ fn rebuilding(manifest: &DatasetManifest) -> String {
     format!(
         "With {versions}, in a directory that holds `{CONFIG}`, the extracts and, in `maps/`, the \
          radio maps:\n\n```sh\n{}```\n\n\
-         `{INPUTS}` names every extract and every map by its SHA-256.{preset}{dropped} \
-         `SOURCE_DATE_EPOCH` must be unset.\n",
+         `{INPUTS}` names every extract and every map by its SHA-256.{preset}{dropped}{epoch}\n",
         commands(manifest)
     )
 }

@@ -74,16 +74,18 @@ def test_croissant_loads_the_records_and_shards(release: Path, manifest: dict, c
         assert record["records/id"].decode() == row["id"] == entry["id"]
         assert record["records/hole_share"] == pytest.approx(float(row["hole_share"]))
         assert record["records/frame"] == int(row["frame"]) == entry["frame"]
-    shards = [(shard["shards/file"].decode(), shard["shards/records"]) for shard in dataset.records("shards")]
+    shards = [(shard["shards/file"], shard["shards/records"]) for shard in dataset.records("shards")]
     assert shards == [(shard["file"], shard["records"]) for shard in manifest["shards"]]
 
 
 def test_an_unreleased_dataset_loads_too() -> None:
     root = Path(os.environ["HOLESCOUT_DATASET"])
-    index = list(mlcroissant.Dataset(str(root / "croissant.json")).records("records"))
+    dataset = mlcroissant.Dataset(str(root / "croissant.json"))
+    index = list(dataset.records("records"))
     manifest = json.loads((root / "manifest.json").read_text())
     found = [(entry["records/id"].decode(), entry["records/shard"].decode(), entry["records/frame"]) for entry in index]
     assert found == [(entry["id"], entry["shard"], entry["frame"]) for entry in manifest["records"]]
+    assert [shard["shards/file"] for shard in dataset.records("shards")] == [shard["file"] for shard in manifest["shards"]]
 
 
 def test_geocroissant_tells_place_and_resolution(release: Path, manifest: dict) -> None:

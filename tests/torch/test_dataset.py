@@ -1,6 +1,7 @@
 """`examples/torch_dataset.py`: every record once an epoch, however many workers and ranks there are.
 
-HOLESCOUT_DATASET names a dataset with a train split. One shard is copied under several names, for order to mean something.
+HOLESCOUT_DATASET names a dataset with a train and a val split of one shard each. They are copied under several names, for order to
+mean something.
 """
 
 import os
@@ -25,8 +26,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("dataset")
     (root / "train").mkdir()
     for number in range(SHARDS):
+        split = ["train", "val"][number % 2]
         shutil.copy(
-            Path(os.environ["HOLESCOUT_DATASET"]) / "train/shard-00000.msgpack.zst",
+            Path(os.environ["HOLESCOUT_DATASET"]) / split / "shard-00000.msgpack.zst",
             root / f"train/shard-{number:05}.msgpack.zst",
         )
     return root
@@ -80,3 +82,16 @@ def test_the_order_depends_on_seed_and_epoch_only(dataset: Path) -> None:
     assert first == order(dataset, 0, 0)
     assert len({tuple(order(dataset, 0, epoch)) for epoch in range(4)}) == 4
     assert first != order(dataset, 1, 0)
+
+
+def test_workers_that_live_on_follow_the_epoch(dataset: Path) -> None:
+    loader = DataLoader(Records(dataset), batch_size=None, num_workers=1, persistent_workers=True)
+    orders = []
+    for epoch in range(4):
+        loader.dataset.set_epoch(epoch)
+        found = [item["id"] for item in loader]
+        alone = Records(dataset)
+        alone.set_epoch(epoch)
+        assert found == [item["id"] for item in alone]
+        orders.append(found)
+    assert any(found != orders[0] for found in orders)
