@@ -208,7 +208,7 @@ fn variables(cells: u32) -> Value {
             "float32: height of the highest building, 0 where there is none."
         ),
         variable("rsrp_dbm", "dBm", "float32: RSRP in dBm per resource element."),
-        variable("mask", "", "uint8: 0 outdoor, 1 building, 2 outdoor without a path."),
+        variable("mask", "code", "uint8: 0 outdoor, 1 building, 2 outdoor without a path."),
     ])
 }
 
