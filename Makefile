@@ -3,6 +3,7 @@
 #   make dataset                 the fixtures, into build/helsinki/dataset
 #   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
 #   make evaluate [SPLIT=val]    all methods on the dataset: OUT/evaluation/SPLIT/report.html
+#   make release VERSION=1.2.0   the dataset as it is published: OUT/release/NAME-1.2.0 and .tar
 #   make maps [TRACE_FLAGS=..]   scenes of the tiles, and their radio maps by Sionna RT: OUT/scenes, OUT/maps
 #   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
 #   make test                    everything that needs no large data
@@ -44,7 +45,7 @@ RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,11s/^# *//p' Makefile
+	@sed -n '3,12s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
@@ -67,6 +68,18 @@ $(OUT)/dataset/manifest.json: $(OUT)/rsrp/manifest.json
 $(OUT)/.verified: $(OUT)/dataset/manifest.json
 	$(BIN) verify $(OUT)/dataset
 	@touch $@
+
+# The dataset with a version, as a directory and an archive; RELEASE_FLAGS="--url .. --creator .. --previous DIR" and the like go
+# to `holescout release`. Without a DATE it tells none: the same command gives the same bytes tomorrow.
+NAME ?= $(notdir $(OUT))
+RELEASE = $(OUT)/release/$(NAME)-$(VERSION)
+.PHONY: release
+release: $(OUT)/.verified
+	@test -n '$(VERSION)' || { echo "say which: make release VERSION=1.2.0" >&2; exit 2; }
+	$(RUN) release $(OUT)/dataset --version $(VERSION) --name $(NAME) $(if $(DATE),--date $(DATE)) $(RELEASE_FLAGS) \
+	  --tar --out $(RELEASE) --overwrite
+	$(BIN) verify $(RELEASE)
+	@echo "release: $(RELEASE)"
 
 # Precision and recall of all methods on a split, with a report to look at.
 .PHONY: evaluate
@@ -189,7 +202,7 @@ schema-check: $(BIN)
 	$(BIN) schemas --out schemas --check
 
 .PHONY: test
-test: test-rust test-torch test-report
+test: test-rust test-torch test-report test-release
 
 .PHONY: test-rust
 test-rust: | tools
@@ -214,6 +227,11 @@ test-torch: dataset $(LIBTORCH)/.installed | tools-torch
 test-report: dataset $(VENV)/.installed | browser
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset CHROMIUM=$(CHROMIUM) \
 	  $(PYTHON) -m pytest -q tests/report
+
+# A release is valid Croissant, and its card's lines and the examples read it.
+.PHONY: test-release
+test-release: dataset $(VENV)/.installed
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset $(PYTHON) -m pytest -q tests/release
 
 # Tracing with Sionna itself: geometry, maps, a killed run, and the way from OpenStreetMap to a dataset.
 .PHONY: test-sionna
@@ -240,7 +258,7 @@ test-real: $(BIN) $(VENV)/.installed llvm
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python $(REAL)/sionna_scenes.py
 
-$(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch))
+$(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch release))
 	$(call venv,$(VENV))
 	$(VENV)/bin/pip install -q $(addprefix -r ,$^)
 	@touch $@

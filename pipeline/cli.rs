@@ -12,12 +12,14 @@ use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
+mod release;
 mod remote;
 mod rsrp;
 mod scenes;
 #[cfg(feature = "torch")]
 mod train;
 
+pub(crate) use release::{DiffArgs, ReleaseArgs};
 pub(crate) use remote::RemoteFlags;
 pub(crate) use rsrp::RsrpFlags;
 pub(crate) use scenes::ScenesArgs;
@@ -67,6 +69,10 @@ pub(crate) enum Command {
     Verify(VerifyArgs),
     /// Show a dataset's figures, or one record as picture or JSON
     Inspect(InspectArgs),
+    /// Write a dataset as it is published: with a version, card, pictures, Croissant
+    Release(ReleaseArgs),
+    /// Say what changed between two datasets or releases, and which version that asks for
+    Diff(DiffArgs),
     /// Judge methods on a dataset: precision and recall, with intervals, and a report
     Evaluate(EvaluateArgs),
     /// Train a Q-network on a dataset by Double DQN; goes on from the last checkpoint
@@ -115,7 +121,7 @@ impl Command {
             #[cfg(feature = "torch")]
             Self::ExportPolicy(_) => {}
             Self::Inspect(args) => args.remote.apply(config),
-            Self::Verify(_) | Self::Schemas(_) => {}
+            Self::Verify(_) | Self::Release(_) | Self::Diff(_) | Self::Schemas(_) => {}
         }
     }
 }

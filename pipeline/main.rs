@@ -3,6 +3,7 @@
 mod cli;
 mod config;
 mod console;
+mod diff;
 mod evaluate;
 #[cfg(feature = "torch")]
 mod export_policy;
@@ -10,6 +11,7 @@ mod failure;
 mod import_rsrp;
 mod inspect;
 mod rasterise;
+mod release;
 mod scenes;
 mod schemas;
 mod shard;
@@ -57,6 +59,8 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
         Command::ExportPolicy(args) => export_policy::run(args),
         Command::Verify(args) => verify::run(args, console),
         Command::Inspect(args) => inspect::run(args, &config),
+        Command::Release(args) => release::run(args, console),
+        Command::Diff(args) => diff::run(args, console),
         Command::Schemas(args) => schemas::run(args),
         Command::Config(_) => config::run(&config),
     }

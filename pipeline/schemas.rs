@@ -8,11 +8,11 @@ use holescout::error::FileError;
 use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
     DatasetManifest, EvaluationManifest, PolicyManifest, RsrpManifest, RsrpMeta, SceneMeta,
-    ScenesManifest, TileMeta, TilesManifest, to_json,
+    ScenesManifest, TileMeta, TilesManifest, json_schema,
 };
 use holescout::radio_map::RadioMapMetadata;
 use holescout::store::write_atomic;
-use schemars::{JsonSchema, generate::SchemaSettings};
+use schemars::JsonSchema;
 use serde_json::json;
 
 use crate::cli::SchemasArgs;
@@ -79,6 +79,5 @@ fn all() -> Vec<(String, Vec<u8>)> {
 }
 
 fn schema<T: JsonSchema>(name: &str) -> (String, Vec<u8>) {
-    let schema = SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
-    (format!("{name}.json"), to_json(&schema))
+    (format!("{name}.json"), json_schema::<T>())
 }

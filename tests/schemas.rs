@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use pipeline::numpy::meta_json;
 use pipeline::{
     DATASET_FILES, HELSINKI, assert_says, fixture, helsinki_config, holescout, plant, read,
-    read_json, run, shared_dir, temporary_dir, tree, write,
+    read_json, release, run, shared_dir, temporary_dir, tree, write,
 };
 
 /// The committed schemas.
@@ -55,7 +55,7 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
         ("rsrp_map.v1", npz(&HELSINKI.rsrp)),
         ("rsrp.v1", manifest(&HELSINKI.rsrp)),
         ("record.v1", records()),
-        ("dataset.v1", manifest(&HELSINKI.dataset)),
+        ("dataset.v1", [manifest(&HELSINKI.dataset), manifest(&RELEASE)].concat()),
         ("evaluation.v1", manifest(&EVALUATION)),
         ("report.v1", vec![read_json(&EVALUATION.join("report.json"))]),
         ("policy.v1", vec![policy()]),
@@ -79,6 +79,15 @@ fn policy() -> Value {
         train: TrainConfig::default(),
     })
 }
+
+/// A release of the fixtures, with all that may be said of one.
+static RELEASE: LazyLock<PathBuf> = LazyLock::new(|| {
+    let out = shared_dir("schemas-release").join("out");
+    let mut command = release(&HELSINKI.dataset, "1.0.0", &out);
+    command.args(["--date", "2026-07-01", "--url", "https://example.org/", "--creator", "A"]);
+    run(&mut command).succeeds();
+    out
+});
 
 /// A small evaluation of the fixtures.
 static EVALUATION: LazyLock<PathBuf> = LazyLock::new(|| {
@@ -246,6 +255,8 @@ fn tampered_values_do_not_validate() {
         ("dataset.v1", "/records/0/id", json!("utm35_e1_n2")),
         ("dataset.v1", "/shards/0/split", json!("holdout")),
         ("dataset.v1", "/schema", json!("dataset.v2")),
+        ("dataset.v1", "/release/name", json!("../x")),
+        ("dataset.v1", "/release/version", json!(1)),
         ("evaluation.v1", "/evaluate/methods/0", json!("best")),
         ("evaluation.v1", "/rl/reach_cells", json!(-1)),
         ("evaluation.v1", "/schema", json!("evaluation.v2")),

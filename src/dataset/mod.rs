@@ -4,7 +4,8 @@
 //! seekable format, one MessagePack record a frame, beside `manifest.json`, `SHA256SUMS`,
 //! a card and the licence notice. Everything is a pure function of inputs and configuration.
 
-mod card;
+pub(crate) mod card;
+pub(crate) mod croissant;
 mod downsample;
 mod loader;
 mod place;
@@ -29,4 +30,5 @@ pub use split::{SplitAssignment, assign_splits};
 pub use stage::{ShardError, ShardJob, build_dataset};
 pub use statistics::{hole_share, statistics_of};
 pub use verify::{Verification, VerifyFailure, verify};
+pub(crate) use view::{COLUMNS, table_csv, table_row};
 pub use view::{record_json, records_csv};

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 
 use super::card;
+use super::croissant;
 use super::downsample::{downsample_heights, downsample_rsrp};
 use super::record::{Grids, Provenance, Record, RecordError};
 use super::split::assign_splits;
@@ -198,6 +199,7 @@ pub fn build_dataset(
         schema: DatasetManifest::SCHEMA.to_owned(),
         fingerprint,
         software: Software::this(),
+        release: None,
         licence: tiles.licence.clone(),
         attribution: tiles.attribution.clone(),
         epsg: tiles.epsg,
@@ -219,9 +221,11 @@ pub fn build_dataset(
         records: index(&plan),
         config: context.config,
     };
+    let bytes = to_json(&manifest);
     output.write("README.md", card::readme(&manifest).as_bytes())?;
     output.write("NOTICE", card::notice(&manifest).as_bytes())?;
-    output.complete(&to_json(&manifest))?;
+    output.write(croissant::FILE, &croissant::croissant(&manifest, &sha256_bytes(&bytes), None))?;
+    output.complete(&bytes)?;
     Ok(manifest)
 }
 

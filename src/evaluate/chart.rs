@@ -38,45 +38,48 @@ const MAX_MARKERS: usize = 10;
 
 /// A value with its interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Point {
+pub(crate) struct Point {
     /// Where it is on the x axis.
-    pub(super) x: f64,
+    pub(crate) x: f64,
     /// The value.
-    pub(super) mean: f64,
+    pub(crate) mean: f64,
     /// Lower end of the 95 % interval.
-    pub(super) low: f64,
+    pub(crate) low: f64,
     /// Upper end of the 95 % interval.
-    pub(super) high: f64,
+    pub(crate) high: f64,
 }
 
 /// One line of a chart.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Series {
+pub(crate) struct Series {
     /// Its name in the legend.
-    pub(super) label: String,
+    pub(crate) label: String,
     /// Points by ascending x; those that are not finite are left out.
-    pub(super) points: Vec<Point>,
+    pub(crate) points: Vec<Point>,
     /// Which colour.
-    pub(super) family: usize,
+    pub(crate) family: usize,
     /// Which dashes and marker.
-    pub(super) variant: usize,
+    pub(crate) variant: usize,
 }
 
 /// Lines over one x axis, with shaded intervals; y begins at zero.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct LineChart {
+pub(crate) struct LineChart {
     /// Heading.
-    pub(super) title: String,
+    pub(crate) title: String,
     /// Name of the x axis.
-    pub(super) x_label: String,
+    pub(crate) x_label: String,
     /// Name of the y axis.
-    pub(super) y_label: String,
+    pub(crate) y_label: String,
     /// Upper end of the y axis; by default a round number above all intervals.
-    pub(super) y_max: Option<f64>,
+    pub(crate) y_max: Option<f64>,
     /// Whether x is logarithmic; points at x ≤ 0 are then left out.
-    pub(super) log_x: bool,
+    pub(crate) log_x: bool,
+    /// Whether the lines are histograms: each value holds half the way to its neighbours, without
+    /// interval and marker.
+    pub(crate) steps: bool,
     /// The lines; later ones are drawn over earlier ones.
-    pub(super) series: Vec<Series>,
+    pub(crate) series: Vec<Series>,
 }
 
 impl LineChart {
@@ -85,11 +88,16 @@ impl LineChart {
     /// Each series is a `<g class="series">` with `data-label`, `data-family` and `data-variant`,
     /// its legend entry a `<g class="legend-entry">` with the same attributes.
     #[must_use]
-    pub(super) fn to_svg(&self) -> String {
+    pub(crate) fn to_svg(&self) -> String {
         let lines: Vec<Vec<Point>> = self.series.iter().map(|line| self.drawn(line)).collect();
         let plot = Plot::new(self, &lines);
         let (legend, width) = self.legend();
-        let bands: String = self.each(&lines, |line, points| plot.band(line, points));
+        let bands: String = if self.steps {
+            String::new()
+        } else {
+            self.each(&lines, |line, points| plot.band(line, points))
+        };
+        let intervals = if self.steps { "" } else { ", with shaded 95 % intervals" };
         let curves: String = self.each(&lines, |line, points| plot.curve(line, points));
         let [title, x_label, y_label] =
             [&self.title, &self.x_label, &self.y_label].map(|text| escape(text));
@@ -101,8 +109,8 @@ impl LineChart {
              width=\"{width}\" height=\"{HEIGHT}\" viewBox=\"0 0 {width} {HEIGHT}\" \
              font-family=\"{FONT}\" font-size=\"12\" fill=\"{INK}\">\n\
              <title>{title}</title>\n\
-             <desc>Line chart of {y_label} against {x_label}: {count} series, \
-             with shaded 95 % intervals.</desc>\n\
+             <desc>Line chart of {y_label} against {x_label}: {count} series\
+             {intervals}.</desc>\n\
              <rect width=\"{width}\" height=\"{HEIGHT}\" fill=\"#ffffff\"/>\n\
              <text x=\"{LEFT}\" y=\"26\" font-size=\"16\" font-weight=\"bold\">{title}</text>\n\
              {axes}\
@@ -140,7 +148,8 @@ impl LineChart {
                 [point.low, point.high].map(|end| if end.is_finite() { end } else { point.mean });
             Point { low, high, ..*point }
         };
-        line.points.iter().filter(finite).map(ends).collect()
+        let points: Vec<Point> = line.points.iter().filter(finite).map(ends).collect();
+        if self.steps { steps(&points) } else { points }
     }
 
     fn each(&self, lines: &[Vec<Point>], draw: impl Fn(&Series, &[Point]) -> String) -> String {
@@ -153,6 +162,7 @@ struct Plot {
     x_range: [f64; 2],
     y_max: f64,
     log_x: bool,
+    steps: bool,
     /// Of the bands: where those of many lines lie over each other, the lines stay visible.
     opacity: f64,
 }
@@ -176,7 +186,7 @@ impl Plot {
         let chosen = chart.y_max.filter(|y_max| y_max.is_finite() && *y_max > 0.0);
         let y_max = chosen.unwrap_or_else(|| nice_ceiling(top));
         let opacity = (0.9 / lines.len().max(1) as f64).clamp(0.02, 0.12);
-        Self { x_range, y_max, log_x: chart.log_x, opacity }
+        Self { x_range, y_max, log_x: chart.log_x, steps: chart.steps, opacity }
     }
 
     fn x(&self, value: f64) -> f64 {
@@ -251,6 +261,7 @@ impl Plot {
         let markers: String = points
             .iter()
             .enumerate()
+            .filter(|_| !self.steps)
             .filter(|(index, _)| (index + line.family % stride).is_multiple_of(stride))
             .map(|(_, point)| marker(line, self.x(point.x), self.y(point.mean)))
             .collect();
@@ -261,6 +272,13 @@ impl Plot {
             label = escape(&line.label),
         )
     }
+}
+
+/// The outline of a histogram whose bins have these centres, all of one width.
+fn steps(points: &[Point]) -> Vec<Point> {
+    let half = points.windows(2).next().map_or(0.5, |pair| (pair[1].x - pair[0].x) / 2.0);
+    let edges = |point: &Point| [-half, half].map(|dx| Point { x: point.x + dx, ..*point });
+    points.iter().flat_map(edges).collect()
 }
 
 fn color(line: &Series) -> &'static str {
@@ -387,7 +405,7 @@ fn log_ticks(from: f64, to: f64) -> Vec<(f64, String)> {
 /// # Panics
 /// For a text that is no SVG.
 #[must_use]
-pub(super) fn svg_to_png(svg: &str, scale: f32) -> Vec<u8> {
+pub(crate) fn svg_to_png(svg: &str, scale: f32) -> Vec<u8> {
     let mut options = usvg::Options { font_family: "Noto Sans".to_owned(), ..Default::default() };
     for font in [REGULAR_TTF, BOLD_TTF] {
         options.fontdb_mut().load_font_data(font.to_vec());
@@ -421,6 +439,7 @@ mod tests {
             y_label: "precision".to_owned(),
             y_max: None,
             log_x: false,
+            steps: false,
             series,
         }
     }
@@ -525,6 +544,18 @@ mod tests {
         assert_eq!(nice_ceiling(0.93), 1.0);
         assert_eq!(nice_ceiling(0.8), 0.8);
         assert_eq!(nice_ceiling(0.0), 1.0);
+    }
+
+    #[test]
+    fn a_histogram_is_an_outline_without_bands_and_markers() {
+        let line = vec![series("line", vec![point(1.0, 0.2), point(2.0, 0.4)])];
+        let svg = LineChart { steps: true, ..chart(line) }.to_svg();
+        assert_eq!(count(&svg, "band"), 0);
+        let drawn = svg.split("class=\"series\"").nth(1).expect("one series");
+        let drawn = drawn.split("</g>").next().expect("its content");
+        let path = drawn.split("d=\"").nth(1).and_then(|rest| rest.split('"').next());
+        assert_eq!(path.map(|path| path.matches(['M', 'L']).count()), Some(4), "{drawn}");
+        assert!(!drawn.contains("<polygon"), "{drawn}");
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub(super) fn of_report(report: &Report) -> [(&'static str, LineChart); 2] {
         y_label: y_label.to_owned(),
         y_max: None,
         log_x: false,
+        steps: false,
         series: series(report, value),
     };
     [

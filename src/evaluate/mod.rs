@@ -19,6 +19,7 @@ mod summary;
 mod tables;
 mod track;
 
+pub(crate) use chart::{LineChart, Point, Series, svg_to_png};
 pub use report::{
     DatasetUsed, Difference, Difficulty, FlightFigures, Group, GroupKind, GroupScore, Interval,
     Knows, MapsUsed, MethodInfo, OracleShare, Report, Score,

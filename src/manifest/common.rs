@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
+use schemars::generate::SchemaSettings;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -99,6 +100,12 @@ pub fn to_json(value: &impl Serialize) -> Vec<u8> {
     let mut bytes = serde_json::to_vec_pretty(value).expect("keys are strings");
     bytes.push(b'\n');
     bytes
+}
+
+/// The JSON Schema (draft 2020-12) of a type, as `schemas/` holds it.
+#[must_use]
+pub fn json_schema<T: JsonSchema>() -> Vec<u8> {
+    to_json(&SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>())
 }
 
 /// Reads a directory's manifest, with its digest.

@@ -103,6 +103,29 @@ pub struct Dropped {
     pub osm_objects: BTreeMap<Action, BTreeMap<Defect, u64>>,
 }
 
+/// What makes a dataset a release.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Release {
+    /// Short name: letters, digits, `-`, `_` and `.`.
+    #[schemars(regex(pattern = "^[A-Za-z0-9][A-Za-z0-9._-]*$"))]
+    pub name: String,
+    /// Version of the data (semver).
+    pub version: String,
+    /// Day of publication, `YYYY-MM-DD`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub date: Option<String>,
+    /// Where it is published.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub url: Option<String>,
+    /// Who made it.
+    pub creators: Vec<String>,
+    /// The program that wrote the release; [`DatasetManifest::software`] wrote the records.
+    pub software: Software,
+    /// SHA-256 of the manifest of the dataset that was released.
+    pub dataset_manifest_sha256: String,
+}
+
 /// `DATASET/manifest.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -114,6 +137,9 @@ pub struct DatasetManifest {
     pub fingerprint: String,
     /// The program that wrote it.
     pub software: Software,
+    /// What a release has beyond a dataset.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub release: Option<Release>,
     /// Licence of the output, as an SPDX identifier.
     pub licence: String,
     /// Attribution that must stay with the output.

@@ -12,9 +12,10 @@ mod rsrp;
 mod scenes;
 mod tiles;
 
-pub use common::{Input, ManifestError, Software, fingerprint, load, parse, to_json};
+pub use common::{Input, ManifestError, Software, fingerprint, json_schema, load, parse, to_json};
 pub use dataset::{
-    DatasetConfig, DatasetManifest, Dropped, IndexEntry, RsrpHistogram, ShardEntry, SplitStatistics,
+    DatasetConfig, DatasetManifest, Dropped, IndexEntry, Release, RsrpHistogram, ShardEntry,
+    SplitStatistics,
 };
 pub use evaluation::EvaluationManifest;
 pub use files::{

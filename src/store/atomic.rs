@@ -17,6 +17,17 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     write_with(path, Sync::Now, |file| file.write_all(bytes))
 }
 
+/// As [`write_atomic`], for content that is too large for the memory: `fill` writes it.
+///
+/// # Errors
+/// As [`write_atomic`], also for what `fill` fails with.
+pub fn write_atomic_with(
+    path: &Path,
+    fill: impl FnOnce(&mut File) -> std::io::Result<()>,
+) -> Result<(), FileError> {
+    write_with(path, Sync::Now, fill)
+}
+
 /// As [`write_atomic`], but the file may still be lost if the machine fails before
 /// [`sync_file`]. For many files of which a list is kept: one sync each, while the disk is
 /// busy anyway, costs more than all the rest.

@@ -12,7 +12,7 @@ mod output;
 mod remote;
 mod seekable;
 
-pub use atomic::write_atomic;
+pub use atomic::{write_atomic, write_atomic_with};
 pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};

@@ -128,6 +128,14 @@ pub(crate) fn shard(tiles: &Path, rsrp: &Path, out: &Path) -> Command {
     command
 }
 
+/// `release` of a dataset.
+pub(crate) fn release(dataset: &Path, version: &str, out: &Path) -> Command {
+    let mut command = holescout("release");
+    command.arg(dataset).arg("--version").arg(version).arg("--out").arg(out);
+    command.env_remove("SOURCE_DATE_EPOCH");
+    command
+}
+
 /// `verify` of any stage's output.
 pub(crate) fn verify(directory: &Path) -> Command {
     let mut command = holescout("verify");
@@ -157,14 +165,15 @@ pub(crate) static HELSINKI: LazyLock<Stages> = LazyLock::new(|| {
     stages
 });
 
-/// Shards of a dataset of the fixtures, and its other files.
-pub(crate) const DATASET_FILES: [&str; 6] = [
+/// Shards of a dataset of the fixtures (the fifth and the sixth), and its other files.
+pub(crate) const DATASET_FILES: [&str; 7] = [
     "NOTICE",
     "README.md",
     "SHA256SUMS",
     "manifest.json",
     "train/shard-00000.msgpack.zst",
     "val/shard-00000.msgpack.zst",
+    "croissant.json",
 ];
 
 // Files ----------------------------------------------------------------------------------

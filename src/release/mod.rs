@@ -1,0 +1,26 @@
+//! Releases: datasets as they are published, and what changes from one to the next.
+//!
+//! A release is a dataset: the same shards, byte for byte, and the same manifest with a version
+//! more, so that everything that reads datasets reads it. Around them lies what somebody needs who
+//! has nothing else: a card with figures and pictures, the table of records, the configuration and
+//! the checksums of all inputs to build it again.
+
+mod archive;
+mod card;
+mod charts;
+mod compare;
+mod date;
+mod diff;
+mod rebuild;
+mod scan;
+mod stage;
+mod version;
+
+pub use date::{Date, DateError};
+pub use diff::{
+    Change, ChangedRecord, Diff, DiffError, FileChanges, MovedRecord, Reason, RecordChanges, Side,
+    diff,
+};
+pub use semver::Version;
+pub use stage::{ReleaseError, ReleaseJob, Released, release};
+pub use version::{Step, is_enough, least};

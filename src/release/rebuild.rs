@@ -1,0 +1,84 @@
+//! What builds a release again: its configuration, its inputs by checksum, the commands.
+
+use std::fmt::Write;
+
+use super::scan::Scan;
+use crate::manifest::DatasetManifest;
+
+/// The configuration of a dataset.
+pub(super) const CONFIG: &str = "config.toml";
+/// SHA-256 of extracts and radio maps.
+pub(super) const INPUTS: &str = "inputs.sha256";
+/// Folder of the radio maps in [`INPUTS`].
+const MAPS: &str = "maps";
+
+/// `config.toml`, as `--config` accepts it: the sections that a dataset depends on.
+pub(super) fn config_toml(manifest: &DatasetManifest) -> String {
+    toml::to_string_pretty(&manifest.config).expect("a configuration came from TOML's types")
+}
+
+/// `inputs.sha256`, in the format of `sha256sum`.
+pub(super) fn inputs(manifest: &DatasetManifest, scan: &Scan) -> String {
+    let mut text = String::new();
+    for input in &manifest.inputs {
+        push(&mut text, &input.digest.sha256, &input.file);
+    }
+    for (file, sha256) in &scan.maps {
+        push(&mut text, sha256, &format!("{MAPS}/{file}"));
+    }
+    text
+}
+
+fn push(text: &mut String, sha256: &str, file: &str) {
+    writeln!(text, "{sha256}  {file}").expect("writing to a string cannot fail");
+}
+
+/// The commands, one a line, to be run where the inputs and `config.toml` lie.
+pub(super) fn commands(manifest: &DatasetManifest) -> String {
+    let extracts: Vec<String> = manifest.inputs.iter().map(|input| quoted(&input.file)).collect();
+    let mut release = String::from("holescout release dataset");
+    if let Some(this) = &manifest.release {
+        let mut flag = |name: &str, value: &str| {
+            write!(release, " --{name} {}", quoted(value))
+                .expect("writing to a string cannot fail");
+        };
+        flag("version", &this.version);
+        flag("name", &this.name);
+        if let Some(date) = &this.date {
+            flag("date", date);
+        }
+        if let Some(url) = &this.url {
+            flag("url", url);
+        }
+        this.creators.iter().for_each(|creator| flag("creator", creator));
+    }
+    let extracts = extracts.join(" ");
+    format!(
+        "sha256sum -c {INPUTS}\n\
+         holescout --config {CONFIG} rasterise --osm {extracts} --out tiles\n\
+         holescout --config {CONFIG} import-rsrp --maps {MAPS} --tiles tiles --out rsrp\n\
+         holescout --config {CONFIG} shard --tiles tiles --rsrp rsrp --out dataset\n\
+         {release}\n"
+    )
+}
+
+/// A word of a shell's command line.
+fn quoted(word: &str) -> String {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./:+@%=,".contains(letter);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_quoted_for_a_shell() {
+        assert_eq!(quoted("helsinki.osm.pbf"), "helsinki.osm.pbf");
+        assert_eq!(quoted("Ann O'Neill"), r"'Ann O'\''Neill'");
+        assert_eq!(quoted(""), "''");
+    }
+}

@@ -1,0 +1,104 @@
+//! Which step of a version a change asks for.
+//!
+//! As Croissant 1.1 has it ("Version"): PATCH while the data remain the same, MINOR while those
+//! that were there remain, MAJOR otherwise. Before 1.0.0 a breaking change raises the second
+//! number and everything else the third, as Cargo has it.
+
+use semver::Version;
+use serde::Serialize;
+
+/// How far a version has to go.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Step {
+    /// Nothing changed.
+    None,
+    /// Texts, compression or the order of bytes changed: the data are the same.
+    Patch,
+    /// Something was added: what was there is the same.
+    Minor,
+    /// A reader or a result of the old one may break.
+    Major,
+}
+
+impl Step {
+    /// Its name, for people.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Patch => "patch",
+            Self::Minor => "minor",
+            Self::Major => "major",
+        }
+    }
+}
+
+/// The lowest version that may follow a change.
+#[must_use]
+pub fn least(from: &Version, step: Step) -> Version {
+    let Version { major, minor, patch, .. } = *from;
+    match (step, major) {
+        (Step::None, _) => from.clone(),
+        (Step::Major, 1..) => Version::new(major + 1, 0, 0),
+        (Step::Major, 0) | (Step::Minor, 1..) => Version::new(major, minor + 1, 0),
+        (Step::Minor, 0) | (Step::Patch, _) => Version::new(major, minor, patch + 1),
+    }
+}
+
+/// Whether a version is as far from another as a change asks for. A pre-release counts as the
+/// version that it precedes.
+#[must_use]
+pub fn is_enough(from: &Version, to: &Version, step: Step) -> bool {
+    let core = |version: &Version| (version.major, version.minor, version.patch);
+    // A pre-release of what comes next may be followed by another one, and by the version itself.
+    let continues = !from.pre.is_empty() && core(to) == core(from) && step != Step::Major;
+    let moves = step == Step::None || to > from;
+    moves && (continues || core(to) >= core(&least(from, step)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn enough(from: &str, to: &str, step: Step) -> bool {
+        let parse = |text: &str| text.parse::<Version>().expect("a version");
+        is_enough(&parse(from), &parse(to), step)
+    }
+
+    #[test]
+    fn every_step_has_its_least_version() {
+        let cases = [
+            ("1.2.3", Step::None, "1.2.3"),
+            ("1.2.3", Step::Patch, "1.2.4"),
+            ("1.2.3", Step::Minor, "1.3.0"),
+            ("1.2.3", Step::Major, "2.0.0"),
+            ("0.2.3", Step::Patch, "0.2.4"),
+            ("0.2.3", Step::Minor, "0.2.4"),
+            ("0.2.3", Step::Major, "0.3.0"),
+        ];
+        for (from, step, to) in cases {
+            let found = least(&from.parse().expect("a version"), step);
+            assert_eq!(found.to_string(), to, "{from} {step:?}");
+            assert!(enough(from, to, step));
+        }
+    }
+
+    #[test]
+    fn too_small_a_step_and_one_back_are_not_enough() {
+        assert!(!enough("1.1.0", "1.2.0", Step::Major));
+        assert!(!enough("1.1.0", "1.1.1", Step::Minor));
+        assert!(!enough("1.1.0", "1.1.0", Step::Patch));
+        assert!(enough("1.1.0", "1.1.0", Step::None));
+        assert!(!enough("2.0.0", "1.9.9", Step::None));
+        assert!(enough("1.1.0", "3.0.0", Step::Patch));
+    }
+
+    #[test]
+    fn pre_releases_lead_to_their_version() {
+        assert!(enough("1.1.0", "2.0.0-rc.1", Step::Major));
+        assert!(enough("2.0.0-rc.1", "2.0.0-rc.2", Step::Minor));
+        assert!(enough("2.0.0-rc.1", "2.0.0", Step::Minor));
+        assert!(!enough("2.0.0-rc.2", "2.0.0-rc.1", Step::Patch));
+    }
+}

@@ -1,0 +1,144 @@
+"""What a person has who has only a release: it is valid Croissant, and Python reads it.
+
+HOLESCOUT names the program, HOLESCOUT_DATASET the fixtures' dataset.
+"""
+
+import csv
+import hashlib
+import json
+import logging
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mlcroissant
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+VERSION = "1.2.0"
+
+
+def holescout(*arguments: object) -> str:
+    command = [os.environ["HOLESCOUT"], *map(str, arguments)]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("release") / "out"
+    holescout("release", os.environ["HOLESCOUT_DATASET"], "--version", VERSION, "--out", out, "--quiet")
+    return out
+
+
+@pytest.fixture(scope="module")
+def manifest(release: Path) -> dict:
+    return json.loads((release / "manifest.json").read_text())
+
+
+def validate(croissant: Path) -> subprocess.CompletedProcess:
+    script = Path(sys.executable).with_name("mlcroissant")
+    return subprocess.run([script, "validate", "--jsonld", croissant], capture_output=True, text=True)
+
+
+def test_croissant_is_valid_without_a_warning(release: Path) -> None:
+    run = validate(release / "croissant.json")
+    assert run.returncode == 0, run.stderr
+    assert not re.search("warning|error", run.stdout + run.stderr, re.IGNORECASE), run.stderr
+
+
+def test_a_wrong_croissant_is_not_valid(release: Path, tmp_path: Path) -> None:
+    croissant = json.loads((release / "croissant.json").read_text())
+    del croissant["distribution"][0]["sha256"]
+    (tmp_path / "croissant.json").write_text(json.dumps(croissant))
+    assert validate(tmp_path / "croissant.json").returncode != 0
+
+
+def test_a_dataset_lacks_only_what_publishing_gives_it() -> None:
+    run = validate(Path(os.environ["HOLESCOUT_DATASET"]) / "croissant.json")
+    assert run.returncode == 0, run.stderr
+    warned = set(re.findall(r'Property "https?://schema.org/(\w+)" is recommended', run.stderr))
+    assert warned == {"datePublished", "version"}, run.stderr
+
+
+def test_croissant_loads_the_records_and_shards(release: Path, manifest: dict, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        dataset = mlcroissant.Dataset(str(release / "croissant.json"))
+    assert dataset.metadata.version == VERSION
+    table = list(csv.DictReader((release / "records.csv").open()))
+    found = list(dataset.records("records"))
+    assert len(found) == len(table) == len(manifest["records"])
+    for row, record, entry in zip(table, found, manifest["records"], strict=True):
+        assert record["records/id"].decode() == row["id"] == entry["id"]
+        assert record["records/hole_share"] == pytest.approx(float(row["hole_share"]))
+        assert record["records/frame"] == int(row["frame"]) == entry["frame"]
+    shards = [(shard["shards/file"], shard["shards/records"]) for shard in dataset.records("shards")]
+    assert shards == [(shard["file"], shard["records"]) for shard in manifest["shards"]]
+
+
+def test_an_unreleased_dataset_loads_too() -> None:
+    root = Path(os.environ["HOLESCOUT_DATASET"])
+    dataset = mlcroissant.Dataset(str(root / "croissant.json"))
+    index = list(dataset.records("records"))
+    manifest = json.loads((root / "manifest.json").read_text())
+    found = [(entry["records/id"].decode(), entry["records/shard"].decode(), entry["records/frame"]) for entry in index]
+    assert found == [(entry["id"], entry["shard"], entry["frame"]) for entry in manifest["records"]]
+    assert [shard["shards/file"] for shard in dataset.records("shards")] == [shard["file"] for shard in manifest["shards"]]
+
+
+def test_geocroissant_tells_place_and_resolution(release: Path, manifest: dict) -> None:
+    croissant = json.loads((release / "croissant.json").read_text())
+    assert "http://mlcommons.org/croissant/geo/1.0" in croissant["conformsTo"]
+    assert croissant["geocr:coordinateReferenceSystem"] == f"EPSG:{manifest['epsg']}"
+    assert croissant["geocr:spatialResolution"]["value"] == manifest["cell_m"]
+    south, west, north, east = map(float, croissant["spatialCoverage"]["geo"]["box"].split())
+    for row in csv.DictReader((release / "records.csv").open()):
+        assert south < float(row["lat"]) < north and west < float(row["lon"]) < east
+
+
+def test_the_snippet_of_the_card_reads_every_record(release: Path, manifest: dict) -> None:
+    snippet = re.search(r"```python\n(.*?)```", (release / "README.md").read_text(), re.DOTALL)
+    run = subprocess.run([sys.executable, "-c", snippet[1]], cwd=release, check=True, capture_output=True, text=True)
+    printed = [line.split(" ", 2) for line in run.stdout.splitlines()]
+    assert sorted(line[0] for line in printed) == [entry["id"] for entry in manifest["records"]]
+    assert {line[2] for line in printed} == {f"({manifest['cells']}, {manifest['cells']})"}
+
+
+def test_the_files_are_those_of_the_list(release: Path) -> None:
+    sums = dict(reversed(line.split("  ")) for line in (release / "SHA256SUMS").read_text().splitlines())
+    files = {str(path.relative_to(release)) for path in release.rglob("*") if path.is_file()}
+    assert files == {*sums, "SHA256SUMS"}
+    assert len(files) <= 100
+    for name, digest in sums.items():
+        assert hashlib.sha256((release / name).read_bytes()).hexdigest() == digest
+    links = re.findall(r"\]\(([^)#:]+)\)", (release / "README.md").read_text())
+    assert len(links) == 12, "two histograms, ten records"
+    assert set(links) <= files
+
+
+def test_read_shards_lists_and_gives_records(release: Path, manifest: dict) -> None:
+    program = EXAMPLES / "read_shards.py"
+    run = subprocess.run([sys.executable, program, release], check=True, capture_output=True, text=True)
+    lines = [line.split("\t") for line in run.stdout.splitlines()]
+    assert sorted(line[0] for line in lines) == [entry["id"] for entry in manifest["records"]]
+    shares = {row["id"]: float(row["hole_share"]) for row in csv.DictReader((release / "records.csv").open())}
+    for line in lines:
+        assert line[4] == f"{100 * shares[line[0]]:.1f} % holes"
+
+
+def test_read_shards_is_a_module(release: Path, manifest: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    import read_shards
+
+    for shard in manifest["shards"]:
+        found = list(read_shards.records(release / shard["file"]))
+        assert len(found) == shard["records"]
+        assert {record["split"] for record in found} == {shard["split"]}
+    record = next(read_shards.records(release, "train"))
+    side = manifest["cells"]
+    kinds = {"height_m": np.float32, "rsrp_dbm": np.float32, "mask": np.uint8}
+    for key, kind in kinds.items():
+        assert (record[key].dtype, record[key].shape) == (kind, (side, side))
+    assert list(read_shards.records(release, "nosuch")) == []
