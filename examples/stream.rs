@@ -9,6 +9,7 @@
 
 use std::num::NonZero;
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Parser;
@@ -51,8 +52,17 @@ struct Arguments {
     attempts: u32,
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let asked = Arguments::parse();
+fn main() -> ExitCode {
+    match stream(Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn stream(asked: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let remote = RemoteConfig {
         cache_dir: asked.cache,
         cache_mb: asked.cache_mb,
