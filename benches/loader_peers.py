@@ -5,19 +5,15 @@ record is stored beside the arrays and left packed. `raw` is what someone who lo
 all bytes of a record, and views of it in place of copies. `zstd` compresses each record like our shards do.
 """
 
-import os
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import msgpack
 import numpy as np
 import streaming
 import webdataset as wds
 import zstandard
-from streaming.base.util import clean_stale_shared_memory
 from torch.utils.data import DataLoader
 
 RECORDS_PER_SHARD = 256  # as in our datasets
@@ -74,8 +70,9 @@ class Peer:
 
 
 def write_tars(members: Callable[[Record], dict], records: list[Record], folder: Path) -> None:
+    """The time of a member that is a fraction would need a header of its own, which doubles the headers to read."""
     folder.mkdir()
-    with wds.ShardWriter(f"{folder}/%05d.tar", maxcount=RECORDS_PER_SHARD, verbose=0) as writer:
+    with wds.ShardWriter(f"{folder}/%05d.tar", maxcount=RECORDS_PER_SHARD, verbose=0, mtime=0) as writer:
         for record in records:
             writer.write({"__key__": record.ident, **members(record)})
 
@@ -163,7 +160,6 @@ def write_mds(raw: bool, compression: str | None, records: list[Record], folder:
 
 def streaming_dataset(folder: Path) -> streaming.StreamingDataset:
     """All shards may be prepared at once: they are local, and the threads that would wait for them compete with the reader."""
-    clean_stale_shared_memory()
     return streaming.StreamingDataset(
         local=str(folder), shuffle=True, batch_size=BATCH, predownload=1 << 30, num_canonical_nodes=1,
         keep_zip=True, validate_hash=HASH,

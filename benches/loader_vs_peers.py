@@ -36,6 +36,7 @@ import msgpack
 import numpy as np
 import zstandard
 from loader_peers import PEERS, Epoch, Peer, Record
+from streaming.base.util import clean_stale_shared_memory
 
 ARRAYS = ("height_m", "rsrp_dbm", "mask")
 FORK = multiprocessing.get_context("fork")
@@ -111,7 +112,12 @@ def measure(peer: Peer, folder: Path, cells: int, epochs: int) -> Run:
 def in_child(work: Callable[[], Any]) -> Any:
     """In a process of its own that has all modules already."""
     here, there = FORK.Pipe()
-    process = FORK.Process(target=lambda: there.send(work()))
+
+    def child() -> None:
+        there.send(work())
+        clean_stale_shared_memory()  # MosaicML does so when an interpreter ends, which a forked one does not
+
+    process = FORK.Process(target=child)
     process.start()
     there.close()
     found = here.recv()
