@@ -14,6 +14,8 @@ that takes DATASET SPLIT --epochs N --threads T [--memory-mb M], measures the sa
 """
 
 import argparse
+import atexit
+import contextlib
 import cProfile
 import io
 import json
@@ -36,7 +38,6 @@ import msgpack
 import numpy as np
 import zstandard
 from loader_peers import PEERS, Epoch, Peer, Record
-from streaming.base.util import clean_stale_shared_memory
 
 ARRAYS = ("height_m", "rsrp_dbm", "mask")
 FORK = multiprocessing.get_context("fork")
@@ -114,8 +115,10 @@ def in_child(work: Callable[[], Any]) -> Any:
     here, there = FORK.Pipe()
 
     def child() -> None:
-        there.send(work())
-        clean_stale_shared_memory()  # MosaicML does so when an interpreter ends, which a forked one does not
+        # MosaicML frees its shared memory when the interpreter ends, which that of a forked process does not.
+        with contextlib.ExitStack() as at_exit:
+            atexit.register = at_exit.callback
+            there.send(work())
 
     process = FORK.Process(target=child)
     process.start()
@@ -218,16 +221,21 @@ def main() -> None:
     parser.add_argument("--memory-mb", type=int, action="append", help="of our loader; each makes a contestant")
     parser.add_argument("--only", default="", help="peers whose name has this in it")
     parser.add_argument("--peers-only", action="store_true", help="without LOADER_BENCH")
+    parser.add_argument("--copies", type=int, default=1, help="of each record, for peers only: what longer epochs would do")
     parser.add_argument("--profile", action="store_true", help="show where the peers' time goes instead")
     options = parser.parse_args()
+    if options.copies > 1 and not options.peers_only:
+        parser.error("--copies needs --peers-only: our dataset has each record once")
     dataset = Path(os.environ["HOLESCOUT_DATASET"])
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: options.cores])
     cores = len(os.sched_getaffinity(0))
     warnings.filterwarnings("ignore", message=".*not writable.*")
 
     records = read_records(dataset, options.split)
+    records = [one._replace(ident=f"{one.ident}-{copy}") for copy in range(options.copies) for one in records]
     cells = len(records[0].mask)
     with tempfile.TemporaryDirectory() as name:
+        tempfile.tempdir = name  # where MosaicML leaves its locks
         contestants: list[Contestant] = []
         if not options.peers_only:
             for memory in options.memory_mb or [None]:
