@@ -17,6 +17,7 @@ import argparse
 import atexit
 import contextlib
 import cProfile
+import gc
 import io
 import json
 import multiprocessing
@@ -120,6 +121,9 @@ def in_child(work: Callable[[], Any]) -> Any:
             atexit.register = at_exit.callback
             there.send(work())
 
+    # Otherwise some children, always the same, would collect the garbage of all imported modules in the time that is measured.
+    gc.collect()
+    gc.freeze()
     process = FORK.Process(target=child)
     process.start()
     there.close()
@@ -203,7 +207,8 @@ def table(contestants: list[Contestant], runs: dict[tuple[str, bool], list[Run]]
     peers = [one for one in contestants if not one.ours and one.processes == 1]
     for ours in (one for one in contestants if one.ours):
         kept = runs[ours.name, False][0].in_memory
-        print(f"\n{ours.name} ({'keeps decoded records in memory' if kept else 'decodes every time'}), against the fastest of one process:")
+        how = "keeps decoded records in memory" if kept else "decodes every time"
+        print(f"\n{ours.name} ({how}), against the fastest of one process:")
         for number, what in enumerate(("cold", "first", "later")):
             for memory in (False, True) if what == "later" else (False,):
                 rivals = [one.name for one in peers if runs[one.name, False][0].in_memory == memory]
