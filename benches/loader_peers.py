@@ -7,6 +7,7 @@ all bytes of a record, and views of it in place of copies. `zstd` compresses eac
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -60,7 +61,7 @@ class Peer:
     open: Callable[[Path, int], Epoch]
     # Decoded samples are kept in memory after the first epoch.
     in_memory: bool = False
-    # One process, as the requirement has it.
+    # More than one is shown, but not compared with.
     processes: int = 1
     # Back to what was written, before each run.
     prepare: Callable[[Path], None] = lambda folder: None
@@ -128,14 +129,11 @@ def open_cached(folder: Path, cells: int) -> Epoch:
 
 def open_tars_with_workers(folder: Path, cells: int) -> Epoch:
     samples = tars(folder).map(lambda sample: (sample["__key__"], *views(sample["raw"], cells))).batched(BATCH)
-    return unbatch(DataLoader(samples, batch_size=None, num_workers=2, persistent_workers=True))
+    loader = DataLoader(samples, batch_size=None, num_workers=2, persistent_workers=True)
 
-
-def unbatch(loader: DataLoader) -> Epoch:
     def epoch() -> Iterator[Sample]:
-        for batch in loader:
-            ids, *arrays = batch.values() if isinstance(batch, dict) else batch
-            yield from zip(ids, *(array.numpy() for array in arrays), strict=True)
+        for ids, *tensors in loader:
+            yield from zip(ids, *(tensor.numpy() for tensor in tensors), strict=True)
 
     return epoch
 
@@ -197,8 +195,11 @@ def open_local_raw(folder: Path, cells: int) -> Epoch:
 
 def open_streaming_with_workers(folder: Path, _: int) -> Epoch:
     dataset = streaming_dataset(folder)
-    collate = lambda samples: [list(column) if isinstance(column[0], str) else np.stack(column)  # noqa: E731
-                               for column in zip(*map(arrays_of, samples), strict=True)]
+
+    def collate(samples: list[dict]) -> list:
+        ids, *arrays = zip(*map(arrays_of, samples), strict=True)
+        return [ids, *map(np.stack, arrays)]
+
     loader = DataLoader(dataset, BATCH, num_workers=2, persistent_workers=True, collate_fn=collate)
 
     def epoch() -> Iterator[Sample]:
@@ -211,10 +212,6 @@ def open_streaming_with_workers(folder: Path, _: int) -> Epoch:
 def forget_decompressed(folder: Path) -> None:
     for path in folder.glob("*.mds"):
         path.unlink()
-
-
-def partial(function: Callable, *first: object) -> Callable:
-    return lambda *rest: function(*first, *rest)
 
 
 PEERS = (

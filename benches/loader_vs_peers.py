@@ -38,7 +38,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import zstandard
-from loader_peers import PEERS, Epoch, Peer, Record
+from loader_peers import PEERS, Peer, Record
 
 ARRAYS = ("height_m", "rsrp_dbm", "mask")
 FORK = multiprocessing.get_context("fork")
@@ -53,6 +53,10 @@ class Run:
     epoch_s: list[float]
     in_memory: bool
     read_bytes: int = 0
+
+
+# By contestant, and whether the page cache was cold.
+Runs = dict[tuple[str, bool], list[Run]]
 
 
 @dataclass
@@ -80,10 +84,10 @@ def read_records(dataset: Path, split: str) -> list[Record]:
     return records
 
 
-def check(epoch: Epoch, records: list[Record]) -> None:
+def check(peer: Peer, folder: Path, records: list[Record]) -> None:
     """Two epochs have every record once, with its arrays, in different orders."""
     expected = {record.ident: record for record in records}
-    orders = []
+    epoch, orders = peer.open(folder, len(records[0].mask)), []
     for _ in range(2):
         orders.append([])
         for ident, *arrays in epoch():
@@ -102,16 +106,15 @@ def measure(peer: Peer, folder: Path, cells: int, epochs: int) -> Run:
     epoch = peer.open(folder, cells)
     for _ in range(epochs):
         for _, height, rsrp, mask in epoch():
-            height[middle], rsrp[middle], mask[middle]
+            height[middle], rsrp[middle], mask[middle]  # noqa: B018
             if not samples:
                 first = time.perf_counter() - ends[0]
             samples += 1
         ends.append(time.perf_counter())
-    times = [end - start for start, end in zip(ends, ends[1:])]
-    return Run(samples, first, times, peer.in_memory)
+    return Run(samples, first, np.diff(ends).tolist(), peer.in_memory)
 
 
-def in_child(work: Callable[[], Any]) -> Any:
+def in_child(work: Callable, *arguments: object) -> Any:
     """In a process of its own that has all modules already."""
     here, there = FORK.Pipe()
 
@@ -119,7 +122,7 @@ def in_child(work: Callable[[], Any]) -> Any:
         # MosaicML frees its shared memory when the interpreter ends, which that of a forked process does not.
         with contextlib.ExitStack() as at_exit:
             atexit.register = at_exit.callback
-            there.send(work())
+            there.send(work(*arguments))
 
     # Otherwise some children, always the same, would collect the garbage of all imported modules in the time that is measured.
     gc.collect()
@@ -190,31 +193,37 @@ def rates(runs: list[Run], samples: int, later: bool) -> list[float]:
     return [samples / (statistics.median(run.epoch_s[1:]) if later else run.epoch_s[0]) for run in runs]
 
 
-def table(contestants: list[Contestant], runs: dict[tuple[str, bool], list[Run]], samples: int) -> None:
-    """Medians as a table, and how many times as fast we are."""
+def median(values: list[float]) -> str:
+    return f"{statistics.median(values):,.0f} ({min(values):,.0f} to {max(values):,.0f})"
+
+
+def rows(contestants: list[Contestant], runs: Runs, samples: int) -> None:
+    """Medians as a table."""
     print("\n| samples/s, median (range) | bytes a sample | cold | read, MB | first | later | first sample, ms, cold · warm |")
     print("|---|---|---|---|---|---|---|")
-    found: dict[str, tuple[float, float, float]] = {}
     for one in contestants:
         cold, warm = runs[one.name, True], runs[one.name, False]
-        figures = (rates(cold, samples, False), rates(warm, samples, False), rates(warm, samples, True))
-        found[one.name] = tuple(statistics.median(values) for values in figures)
-        shown = [f"{statistics.median(values):,.0f} ({min(values):,.0f} to {max(values):,.0f})" for values in figures]
-        shown.insert(1, f"{statistics.median(run.read_bytes for run in cold) / 1e6:.1f}")
-        firsts = " · ".join(f"{1e3 * statistics.median(run.first_sample_s for run in runs):.1f}" for runs in (cold, warm))
+        read = statistics.median(run.read_bytes for run in cold) / 1e6
+        first = " · ".join(f"{1e3 * statistics.median(run.first_sample_s for run in some):.1f}" for some in (cold, warm))
         one.prepare()
-        print(f"| {one.name} | {size(one.folder) / samples:,.0f} | {' | '.join(shown)} | {firsts} |")
-    peers = [one for one in contestants if not one.ours and one.processes == 1]
+        figures = [f"{size(one.folder) / samples:,.0f}", median(rates(cold, samples, False)), f"{read:.1f}"]
+        figures += [median(rates(warm, samples, later)) for later in (False, True)]
+        print(f"| {one.name} | {' | '.join(figures)} | {first} |")
+
+
+def ratios(contestants: list[Contestant], runs: Runs, samples: int) -> None:
+    """How many times as fast we are as the fastest of one process; medians over the turns."""
     for ours in (one for one in contestants if one.ours):
-        kept = runs[ours.name, False][0].in_memory
-        how = "keeps decoded records in memory" if kept else "decodes every time"
+        how = "keeps decoded records in memory" if runs[ours.name, False][0].in_memory else "decodes every time"
         print(f"\n{ours.name} ({how}), against the fastest of one process:")
-        for number, what in enumerate(("cold", "first", "later")):
-            for memory in (False, True) if what == "later" else (False,):
-                rivals = [one.name for one in peers if runs[one.name, False][0].in_memory == memory]
-                best = max(rivals, key=lambda name: found[name][number], default=None)
-                if best:
-                    print(f"- {what}: {found[ours.name][number] / found[best][number]:.2f} × {best}")
+        for what, cold, later in (("cold", True, False), ("first", False, False), ("later", False, True)):
+            for in_memory in (False, True) if later else (False,):
+                rivals = {one.name: rates(runs[one.name, cold], samples, later) for one in contestants
+                          if not one.ours and one.processes == 1 and runs[one.name, False][0].in_memory == in_memory}
+                if rivals:
+                    best = max(rivals, key=lambda name, rates=rivals: statistics.median(rates[name]))
+                    turns = zip(rates(runs[ours.name, cold], samples, later), rivals[best], strict=True)
+                    print(f"- {what}: {statistics.median(own / other for own, other in turns):.2f} × {best}")
 
 
 def main() -> None:
@@ -250,17 +259,17 @@ def main() -> None:
         for number, peer in enumerate(peer for peer in PEERS if options.only in peer.name):
             folder = Path(name) / str(number)
             peer.write(records, folder)
-            in_child(lambda: check(peer.open(folder, cells), records))
+            in_child(partial(check, peer, folder, records))
             if options.profile:
-                in_child(lambda: profile(peer, folder, cells, options.epochs))
+                in_child(partial(profile, peer, folder, cells, options.epochs))
                 continue
-            work = lambda epochs, peer=peer, folder=folder: in_child(lambda: measure(peer, folder, cells, epochs))  # noqa: E731
+            work = partial(in_child, measure, peer, folder, cells)
             contestants.append(
                 Contestant(peer.name, folder, work, partial(peer.prepare, folder), processes=peer.processes)
             )
         if options.profile:
             return
-        runs: dict[tuple[str, bool], list[Run]] = {(one.name, cold): [] for one in contestants for cold in (True, False)}
+        runs: Runs = {(one.name, cold): [] for one in contestants for cold in (True, False)}
         for turn in range(options.rounds):
             first = turn % len(contestants)
             for one in contestants[first:] + contestants[:first]:
@@ -271,7 +280,8 @@ def main() -> None:
         decoded = sum(getattr(records[0], name).nbytes for name in ARRAYS)
         print(f"{cpu()}, {cores} cores; {len(records)} records of {cells} × {cells} cells, {decoded:,} bytes of arrays each; "
               f"{options.rounds} rounds, {options.epochs} later epochs")
-        table(contestants, runs, len(records))
+        rows(contestants, runs, len(records))
+        ratios(contestants, runs, len(records))
 
 
 if __name__ == "__main__":
