@@ -10,7 +10,8 @@ process for each run, on the same cores; imports are not timed. The consumer rea
 
 Figures are medians over rounds, in which the contestants take turns. HOLESCOUT_DATASET names the dataset, LOADER_BENCH a program
 that takes DATASET SPLIT --epochs N --threads T [--memory-mb M], measures the same and prints {"samples": .., "first_sample_s": ..,
-"epoch_s": [..], "samples_per_s": .., "threads": .., "in_memory": ..}; the first of epoch_s counts from before the dataset is opened.
+"epoch_s": [..], "samples_per_s": .., "threads": .., "in_memory": ..}; the first of epoch_s counts from before the dataset
+is opened. MosaicML needs PyTorch, see loader-requirements.txt.
 """
 
 import argparse
@@ -64,7 +65,8 @@ class Contestant:
     """Someone who loads the records; `run` takes a number of epochs."""
 
     name: str
-    folder: Path
+    folder: Path  # all that is read
+    records: Path  # the records alone, for their size
     run: Callable[[int], Run]
     prepare: Callable[[], None] = lambda: None
     ours: bool = False
@@ -206,7 +208,7 @@ def rows(contestants: list[Contestant], runs: Runs, samples: int) -> None:
         read = statistics.median(run.read_bytes for run in cold) / 1e6
         first = " · ".join(f"{1e3 * statistics.median(run.first_sample_s for run in some):.1f}" for some in (cold, warm))
         one.prepare()
-        figures = [f"{size(one.folder) / samples:,.0f}", median(rates(cold, samples, False)), f"{read:.1f}"]
+        figures = [f"{size(one.records) / samples:,.0f}", median(rates(cold, samples, False)), f"{read:.1f}"]
         figures += [median(rates(warm, samples, later)) for later in (False, True)]
         print(f"| {one.name} | {' | '.join(figures)} | {first} |")
 
@@ -255,7 +257,7 @@ def main() -> None:
             for memory in options.memory_mb or [None]:
                 work = partial(run_ours, dataset, options.split, cores, memory)
                 label = "Holescout" if memory is None else f"Holescout, {memory} MB"
-                contestants.append(Contestant(label, dataset / options.split, work, ours=True))
+                contestants.append(Contestant(label, dataset, dataset / options.split, work, ours=True))
         for number, peer in enumerate(peer for peer in PEERS if options.only in peer.name):
             folder = Path(name) / str(number)
             peer.write(records, folder)
@@ -265,7 +267,7 @@ def main() -> None:
                 continue
             work = partial(in_child, measure, peer, folder, cells)
             contestants.append(
-                Contestant(peer.name, folder, work, partial(peer.prepare, folder), processes=peer.processes)
+                Contestant(peer.name, folder, folder, work, partial(peer.prepare, folder), processes=peer.processes)
             )
         if options.profile:
             return
