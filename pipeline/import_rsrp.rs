@@ -87,6 +87,6 @@ fn text(manifest: &RsrpManifest) -> String {
          {} other files ignored; import.csv tells how good each map is\n",
         manifest.maps.len(),
         rejected(manifest),
-        manifest.ignored.len(),
+        manifest.inputs.ignored.len(),
     )
 }

@@ -3,6 +3,7 @@
 //! A manifest names its inputs by content, never by path, and holds no time of day, so
 //! that the same inputs give the same manifest anywhere.
 
+mod built;
 mod common;
 mod dataset;
 mod evaluation;
@@ -12,6 +13,7 @@ mod rsrp;
 mod scenes;
 mod tiles;
 
+pub use built::{Built, already_built};
 pub use common::{Input, ManifestError, Software, fingerprint, load, to_json};
 pub use dataset::{
     DatasetConfig, DatasetManifest, Dropped, IndexEntry, RsrpHistogram, ShardEntry, SplitStatistics,
@@ -22,8 +24,9 @@ pub use files::{
 };
 pub use policy::PolicyManifest;
 pub use rsrp::{
-    BaseStation, Evidence, MapEntry, MapQuality, MapWarning, MaskCounts, OrientationScore, Radio,
-    RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap, ValueKind, WarningCode,
+    BaseStation, Evidence, ImportInputs, MapEntry, MapFile, MapQuality, MapWarning, MaskCounts,
+    OrientationScore, Radio, RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap, ValueKind,
+    WarningCode,
 };
 pub use scenes::{
     LeftOutSolids, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation, ScenesConfig,
