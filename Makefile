@@ -2,6 +2,7 @@
 #
 #   make dataset                 the fixtures, into build/helsinki/dataset
 #   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
+#   make verify-rebuild          the dataset once more from its inputs: the same SHA-256 for every file
 #   make evaluate [SPLIT=val]    all methods on the dataset: OUT/evaluation/SPLIT/report.html
 #   make maps [TRACE_FLAGS=..]   scenes of the tiles, and their radio maps by Sionna RT: OUT/scenes, OUT/maps
 #   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
@@ -44,7 +45,7 @@ RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,11s/^# *//p' Makefile
+	@sed -n '3,12s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
@@ -67,6 +68,11 @@ $(OUT)/dataset/manifest.json: $(OUT)/rsrp/manifest.json
 $(OUT)/.verified: $(OUT)/dataset/manifest.json
 	$(BIN) verify $(OUT)/dataset
 	@touch $@
+
+# The dataset is built once more, elsewhere, from the inputs that its manifest records.
+.PHONY: verify-rebuild
+verify-rebuild: dataset
+	$(BIN) verify $(OUT)/dataset --rebuild --osm $(OSM) --maps $(RSRP)
 
 # Precision and recall of all methods on a split, with a report to look at.
 .PHONY: evaluate

@@ -18,6 +18,7 @@
 //! 7. [`dataset`]: records, splits, shards; verifying and drawing them
 //! 8. [`rl`]: the task on a record, policies, the exact optimum
 //! 9. [`evaluate`]: precision and recall of policies, with intervals, and the report
+//! 10. [`rebuild`]: an output once more from its recorded inputs
 
 pub mod building;
 pub mod config;
@@ -32,6 +33,7 @@ pub mod progress;
 pub mod radio_map;
 pub mod random;
 pub mod rasterise;
+pub mod rebuild;
 pub mod rl;
 pub mod scene;
 pub mod store;

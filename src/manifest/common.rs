@@ -101,6 +101,14 @@ pub fn to_json(value: &impl Serialize) -> Vec<u8> {
     bytes
 }
 
+/// The schema of a directory's manifest, if it has one.
+#[must_use]
+pub fn schema(directory: &Path) -> Option<String> {
+    let text = std::fs::read(directory.join(MANIFEST)).ok()?;
+    let value: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    Some(value.get("schema")?.as_str()?.to_owned())
+}
+
 /// Reads a directory's manifest, with its digest.
 ///
 /// # Errors

@@ -14,7 +14,7 @@ mod scenes;
 mod tiles;
 
 pub use built::{Built, already_built};
-pub use common::{Input, ManifestError, Software, fingerprint, load, to_json};
+pub use common::{Input, ManifestError, Software, fingerprint, load, schema, to_json};
 pub use dataset::{
     DatasetConfig, DatasetManifest, Dropped, IndexEntry, RsrpHistogram, ShardEntry, SplitStatistics,
 };

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use geo::MultiPolygon;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -115,7 +114,7 @@ pub fn build_tiles(
     let config =
         TilesConfig { grid: grid.clone(), buildings: buildings.clone(), filter: filter.clone() };
     let inputs = inputs(job.osm, &config)?;
-    let area = coordinates(job.area);
+    let area = job.area.coordinates();
     let digests: Vec<_> = inputs.iter().map(|input| &input.digest).collect();
     let fingerprint = fingerprint(&(TilesManifest::SCHEMA, &config, &digests, &area));
     if let Some(built) = already_built(job.out, "tiles", &fingerprint, job.mode, progress)? {
@@ -180,18 +179,6 @@ fn inputs(files: &[PathBuf], config: &TilesConfig) -> Result<Vec<Input>, FileErr
             })
         })
         .collect()
-}
-
-/// An area as GeoJSON coordinates.
-fn coordinates(area: &Area) -> Option<Vec<Vec<Vec<[f64; 2]>>>> {
-    let Area::Inside(MultiPolygon(polygons)) = area else {
-        return None;
-    };
-    let ring = |line: &geo::LineString<f64>| line.coords().map(|p| [p.x, p.y]).collect();
-    let rings = |polygon: &geo::Polygon<f64>| {
-        std::iter::once(polygon.exterior()).chain(polygon.interiors()).map(ring).collect()
-    };
-    Some(polygons.iter().map(rings).collect())
 }
 
 fn select(
