@@ -42,12 +42,20 @@ pub enum RebuildError {
         schema: String,
     },
     /// Something that was used is not given.
-    #[error("the manifest records {recorded}, which is needed to rebuild: pass {flag}")]
+    #[error("the manifest records {recorded}: say by {flag} where to find that")]
     NotGiven {
         /// What was used.
         recorded: String,
         /// The flag that gives it.
         flag: &'static str,
+    },
+    /// An extract is not among those given.
+    #[error("none of the files given by --osm is {recorded}, as the manifest records it: {given}")]
+    MissingExtract {
+        /// Name and digest of the extract.
+        recorded: String,
+        /// The files given, and their digests.
+        given: String,
     },
     /// What is given is something else.
     #[error("{}: {found}; the manifest records {recorded}", path.display())]

@@ -28,10 +28,11 @@ pub(super) fn extracts(
     let mut links = Vec::new();
     for (number, Input { file, digest, .. }) in recorded.iter().enumerate() {
         let Some(at) = digests.iter().position(|found| found == digest) else {
-            return Err(RebuildError::Other {
-                path: given[0].clone(),
-                found: format!("{}, and so no other file given by --osm is it", digests[0]),
-                recorded: format!("{file}: {digest}"),
+            let given = given.iter().zip(&digests);
+            let given = given.map(|(path, digest)| format!("{}: {digest}", path.display()));
+            return Err(RebuildError::MissingExtract {
+                recorded: format!("{file} ({digest})"),
+                given: given.collect::<Vec<_>>().join(", "),
             });
         };
         // A directory for each: two extracts may share a name.
