@@ -6,7 +6,7 @@ mod pipeline;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 use std::thread::sleep;
 use std::time::Duration;
@@ -450,44 +450,34 @@ fn a_failing_machine_exits_with_1() {
     assert_says(&temporary(ended), &["cannot create"]);
 }
 
-/// A task and a merge wait for whoever works on the same part: the engine is to try again.
+/// A task, a merge and a single run wait for whoever works on the same part: the engine is to try
+/// again. Here this test is the other run.
 #[test]
 fn a_task_that_runs_already_is_not_disturbed() {
     let dir = temporary_dir();
-    let out = dir.path().join("out");
-    parts_but(&SHARDS, &out, &[1]);
-    let slow = |index| {
-        let mut command = SHARDS.task(&out, index, 3);
-        command.stdout(Stdio::null()).stderr(Stdio::null());
-        command
-    };
-    let mut first = slow(1).spawn().expect("started");
-    while !out.join(journal(1, 3)).exists() {
-        sleep(Duration::from_micros(50));
+    parts_but(&SHARDS, dir.path(), &[1]);
+    let held = fs::File::create(dir.path().join(journal(1, 3))).expect("a journal");
+    held.lock().expect("locked");
+    let before = tree(dir.path());
+    for command in [
+        &mut SHARDS.task(dir.path(), 1, 3),
+        &mut SHARDS.merge(dir.path(), 3),
+        &mut (SHARDS.command)(dir.path()),
+        (SHARDS.command)(dir.path()).arg("--overwrite"),
+    ] {
+        assert_says(&temporary(run(command)), &["another run"]);
+        assert_same_files(&tree(dir.path()), &before);
     }
-    signal("STOP", &first);
-    let attempts = [
-        run(&mut SHARDS.task(&out, 1, 3)),
-        run(&mut SHARDS.merge(&out, 3)),
-        run(&mut (SHARDS.command)(&out)),
-        run((SHARDS.command)(&out).arg("--overwrite")),
-    ];
-    signal("CONT", &first);
-    let caught = first.wait().expect("ended").success();
-    assert!(caught, "the first run is not disturbed");
-    for attempt in attempts {
-        assert_says(&temporary(attempt), &["another run"]);
-    }
-    // The refused single runs have left a journal, as an interrupted one does.
-    let _ = fs::remove_file(out.join(".holescout-build.jsonl"));
-    run(&mut SHARDS.merge(&out, 3)).succeeds();
-    assert_same_files(&tree(&out), &SHARDS.expected());
-}
-
-/// A signal by its name.
-fn signal(name: &str, child: &Child) {
-    let status = Command::new("kill").arg(format!("-{name}")).arg(child.id().to_string()).status();
-    assert!(status.expect("kill is there").success());
+    drop(held);
+    // A task waits for a single run as well.
+    let single = fs::File::create(dir.path().join(".holescout-build.jsonl")).expect("a journal");
+    single.lock().expect("locked");
+    assert_says(&temporary(run(&mut SHARDS.task(dir.path(), 1, 3))), &["another run"]);
+    drop(single);
+    fs::remove_file(dir.path().join(".holescout-build.jsonl")).expect("removed");
+    run(&mut SHARDS.task(dir.path(), 1, 3)).succeeds();
+    run(&mut SHARDS.merge(dir.path(), 3)).succeeds();
+    assert_same_files(&tree(dir.path()), &SHARDS.expected());
 }
 
 // The environment ------------------------------------------------------------------------
@@ -502,7 +492,9 @@ const VARIABLES: [&str; 5] = [
 
 fn with_variables(out: &Path, args: &[&str], variables: &[(&str, &str)]) -> Command {
     let mut command = (SHARDS.command)(out);
-    VARIABLES.iter().for_each(|name| drop(command.env_remove(name)));
+    for name in VARIABLES {
+        command.env_remove(name);
+    }
     command.args(args).envs(variables.iter().copied());
     command
 }

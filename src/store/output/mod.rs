@@ -131,40 +131,40 @@ impl OutputDir {
             items: Mutex::default(),
             files: Mutex::default(),
         };
-        match mode.part {
-            Part::Whole => output.begin_whole(&plan, mode)?,
-            Part::Task(task) => output.begin_task(&plan, task, mode)?,
-            Part::Merge { .. } => output.take_over_tasks(&plan)?,
+        let begun = match mode.part {
+            Part::Whole => output.begin_whole(&plan, mode),
+            Part::Task(task) => output.begin_task(&plan, task, mode),
+            Part::Merge { .. } => output.take_over_tasks(&plan),
+        };
+        match (begun, &output.journal) {
+            (Err(error), Some((path, _))) => {
+                // An empty journal would be in the way of the run that belongs here.
+                if path.metadata().is_ok_and(|journal| journal.len() == 0) {
+                    remove_if_there(path)?;
+                }
+                Err(error)
+            }
+            (begun, _) => begun.map(|()| output),
         }
-        Ok(output)
     }
 
     fn begin_whole(&mut self, plan: &Plan, mode: BuildMode) -> Result<(), OutputError> {
-        let root = self.root.clone();
         let path = self.open_journal(None)?;
         // Once more under the lock: another run may have been here in between.
-        presence::check(&root, plan, mode)?;
+        presence::check(&self.root, plan, mode)?;
         self.take_over_tasks(plan)?;
         self.resume(&path, plan)?;
         let lines = self.noted.values().map(|noted| &noted.line);
         let kept = lines.flat_map(|line| line.files.iter().map(|(name, _)| name.as_str()));
-        Ok(remove_finished(&root, &kept.collect())?)
+        Ok(remove_finished(&self.root, &kept.collect())?)
     }
 
     fn begin_task(&mut self, plan: &Plan, task: Task, mode: BuildMode) -> Result<(), OutputError> {
-        let root = self.root.clone();
         let path = self.open_journal(Some(task))?;
-        let mut checked = presence::check(&root, plan, mode);
-        if checked.is_ok() && root.join(MANIFEST).exists() {
+        presence::check(&self.root, plan, mode)?;
+        if self.root.join(MANIFEST).exists() {
             // Merged while this task started: it is to look again.
-            checked = Err(OutputError::Busy { path: root });
-        }
-        if let Err(error) = checked {
-            // An empty journal would be in the way of the run that belongs here.
-            if path.metadata().is_ok_and(|journal| journal.len() == 0) {
-                remove_if_there(&path)?;
-            }
-            return Err(error);
+            return Err(OutputError::Busy { path: self.root.clone() });
         }
         self.resume(&path, plan)
     }
