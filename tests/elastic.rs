@@ -297,10 +297,13 @@ fn a_task_without_items_must_have_run() {
     assert_says(&message, &["task 10 has not run here"]);
 }
 
+/// What a kill leaves of a journal.
+type Cut = fn(&str) -> String;
+
 #[test]
 fn an_interrupted_task_is_a_gap() {
     // Without its last line, without its last item, and torn in the middle of a line.
-    let cuts: [(&str, fn(&str) -> String); 3] = [
+    let cuts: [(&str, Cut); 3] = [
         ("interrupted at its end", |text| {
             let lines: Vec<&str> = text.lines().collect();
             lines[..lines.len() - 1].join("\n")

@@ -29,7 +29,7 @@ pub(super) fn compare(
                 let fields = if *name == MANIFEST {
                     differing_fields(directory, rebuilt)
                 } else {
-                    "".into()
+                    String::new()
                 };
                 format!("is {here}, but rebuilt {again}{fields}")
             }

@@ -58,7 +58,8 @@ pub(super) struct Done {
 impl Done {
     /// Of items by key, each with the SHA-256 of its line.
     pub(super) fn of(items: &BTreeMap<String, String>) -> Self {
-        let sums: String = items.iter().map(|(key, sha256)| format!("{sha256}  {key}\n")).collect();
+        let sums = items.iter().map(|(key, sha256)| [sha256, "  ", key, "\n"].concat());
+        let sums: String = sums.collect();
         Self { done: items.len() as u64, sha256: sha256_bytes(sums.as_bytes()).sha256 }
     }
 }
@@ -89,11 +90,11 @@ impl Journal {
         };
         journal.plan = plan;
         for text in lines {
-            if let Ok(line) = serde_json::from_str(text) {
+            if let Ok(line) = serde_json::from_str::<Line<Value>>(text) {
                 let sha256 = sha256_bytes(text.as_bytes()).sha256;
                 journal.lines.push(Noted { line, sha256 });
                 journal.done = None;
-            } else if let Ok(done) = serde_json::from_str(text) {
+            } else if let Ok(done) = serde_json::from_str::<Done>(text) {
                 journal.done = Some(done);
             }
         }
@@ -103,8 +104,9 @@ impl Journal {
     /// The journals in a directory, that of a run that builds all first.
     pub(super) fn all(root: &Path) -> Vec<Self> {
         let entries = std::fs::read_dir(root).into_iter().flatten().flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
         let mut owners: Vec<Option<Task>> =
-            entries.filter_map(|entry| owner(&entry.file_name().to_string_lossy())).collect();
+            names.filter(|name| is_journal(name)).map(|name| task_of(&name)).collect();
         owners.sort_unstable();
         owners.into_iter().map(|task| Self::read(&root.join(name(task)), task)).collect()
     }
@@ -124,16 +126,18 @@ pub(super) fn name(task: Option<Task>) -> String {
     }
 }
 
-/// Whose journal a file is by its name; `None` if it is none.
-pub(super) fn owner(file: &str) -> Option<Option<Task>> {
-    if file == JOURNAL {
-        return Some(None);
-    }
+/// Whether a file is a journal, by its name.
+pub(super) fn is_journal(file: &str) -> bool {
+    file == JOURNAL || task_of(file).is_some()
+}
+
+/// Whose journal a file is, if it is a task's.
+fn task_of(file: &str) -> Option<Task> {
     let numbers = file.strip_prefix(TASK_PREFIX)?.strip_suffix(TASK_SUFFIX)?;
     let (index, count) = numbers.split_once("-of-")?;
     let task = Task { index: index.parse().ok()?, count: count.parse().ok()? };
     // Only names that this program writes: no leading zeros, no task too many.
-    (task.index < task.count && name(Some(task)) == file).then_some(Some(task))
+    (task.index < task.count && name(Some(task)) == file).then_some(task)
 }
 
 /// Appends a line and returns the SHA-256 of its text.
@@ -182,13 +186,13 @@ mod tests {
 
     #[test]
     fn names_tell_whose_a_journal_is() {
-        for task in [None, Some(Task { index: 3, count: 10 })] {
-            assert_eq!(owner(&name(task)), Some(task));
-        }
+        let task = Task { index: 3, count: 10 };
+        assert_eq!(task_of(&name(Some(task))), Some(task));
+        assert!(is_journal(&name(None)) && is_journal(&name(Some(task))));
         for other in ["10-of-10", "03-of-10", "1-of-", "of", "-1-of-2", "1-of-2-of-3"] {
-            assert_eq!(owner(&format!("{TASK_PREFIX}{other}{TASK_SUFFIX}")), None, "{other}");
+            assert!(!is_journal(&format!("{TASK_PREFIX}{other}{TASK_SUFFIX}")), "{other}");
         }
-        assert_eq!(owner("manifest.json"), None);
+        assert!(!is_journal("manifest.json"));
     }
 
     #[test]

@@ -97,8 +97,7 @@ fn present(root: &Path, expected: &Plan, journals: &[Journal]) -> Result<Present
             // A run that was killed right away leaves an empty journal at most.
             let names = entries.flatten().map(|entry| entry.file_name());
             let mut names = names.map(|name| name.to_string_lossy().into_owned());
-            let ours =
-                |name: &str| journal::owner(name).is_some() || name.starts_with(TEMPORARY_PREFIX);
+            let ours = |name: &str| journal::is_journal(name) || name.starts_with(TEMPORARY_PREFIX);
             Ok(names.find(|name| !ours(name)).map_or(Present::Nothing, Present::Foreign))
         }
     }
