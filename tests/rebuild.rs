@@ -193,10 +193,13 @@ fn inputs_that_are_not_those_recorded_are_named() {
     assert_eq!(usage.code, Some(2), "inputs are for --rebuild: {usage:?}");
 }
 
+/// What a forger does to a manifest.
+type Change = fn(&mut Value);
+
 /// A manifest is a file from outside: names in it must not lead anywhere.
 #[test]
 fn forged_names_and_cells_are_refused() {
-    let changes: [(fn(&mut Value), &str); 3] = [
+    let changes: [(Change, &str); 3] = [
         (|manifest| manifest["inputs"][0]["file"] = json!("../helsinki.osm.pbf"), "no file name"),
         (|manifest| manifest["import"]["ignored"] = json!(["../../thesis.tex"]), "no file name"),
         (|manifest| manifest["import"]["record_cell_m"] = json!(2.5), "contradicts itself"),
