@@ -2,6 +2,7 @@
 #
 #   make dataset                 the fixtures, into build/helsinki/dataset
 #   make dataset OSM=city.osm.pbf RSRP=maps OUT=build/city [CONFIG=city.toml]
+#   make verify-rebuild          the dataset once more from its inputs: the same SHA-256 for every file
 #   make evaluate [SPLIT=val]    all methods on the dataset: OUT/evaluation/SPLIT/report.html
 #   make release VERSION=1.2.0   the dataset as it is published: OUT/release/NAME-1.2.0 and .tar
 #   make maps [TRACE_FLAGS=..]   scenes of the tiles, and their radio maps by Sionna RT: OUT/scenes, OUT/maps
@@ -68,6 +69,11 @@ $(OUT)/dataset/manifest.json: $(OUT)/rsrp/manifest.json
 $(OUT)/.verified: $(OUT)/dataset/manifest.json
 	$(BIN) verify $(OUT)/dataset
 	@touch $@
+
+# The dataset is built once more, elsewhere, from the inputs that its manifest records.
+.PHONY: verify-rebuild
+verify-rebuild: dataset
+	$(BIN) verify $(OUT)/dataset --rebuild --osm $(OSM) --maps $(RSRP)
 
 # The dataset with a version, as a directory and an archive; RELEASE_FLAGS="--url .. --creator .. --previous DIR" and the like go
 # to `holescout release`. Without a DATE it tells none: the same command gives the same bytes tomorrow.

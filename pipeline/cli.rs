@@ -5,29 +5,52 @@
     reason = "these comments are the text of --help, where backticks would show"
 )]
 
+use std::ffi::OsString;
 use std::num::NonZero;
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use holescout::config::{Config, Method};
 use holescout::units::Dbm;
 
+use crate::failure::PERMANENT;
+
 mod release;
 mod remote;
 mod rsrp;
 mod scenes;
+mod task;
 #[cfg(feature = "torch")]
 mod train;
+mod verify;
 
 pub(crate) use release::{DiffArgs, ReleaseArgs};
 pub(crate) use remote::RemoteFlags;
 pub(crate) use rsrp::RsrpFlags;
 pub(crate) use scenes::ScenesArgs;
+pub(crate) use task::TaskArgs;
 #[cfg(feature = "torch")]
 pub(crate) use train::{DeviceName, ExportPolicyArgs, TrainArgs};
+pub(crate) use verify::{InputArgs, VerifyArgs};
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed while running, 2 wrong usage, \
-3 invalid input.";
+3 invalid input; of tasks (--task-count) 42 instead of 2 and 3: permanent, do not retry.";
+
+/// Prints what clap has to say, be it help or an error, and exits.
+pub(crate) fn report_usage(error: &clap::Error) -> ExitCode {
+    // Nobody is left to tell when that fails.
+    let _ = error.print();
+    let is_task = |arg: OsString| {
+        let arg = arg.to_string_lossy().into_owned();
+        arg.starts_with("--task-") || arg == "--merge"
+    };
+    match error.exit_code() {
+        0 => ExitCode::SUCCESS,
+        _ if std::env::args_os().any(is_task) => ExitCode::from(PERMANENT),
+        _ => ExitCode::from(2),
+    }
+}
 
 /// From OpenStreetMap buildings and ray-traced radio maps to coverage-hole datasets.
 #[derive(Debug, Parser)]
@@ -88,6 +111,17 @@ pub(crate) enum Command {
 }
 
 impl Command {
+    /// Whether this run is one of several that build an output together, or merges their parts.
+    pub(crate) fn is_task(&self) -> bool {
+        match self {
+            Self::Rasterise(args) => args.task.is_given(),
+            Self::Scenes(args) => args.task.is_given(),
+            Self::ImportRsrp(args) => args.task.is_given(),
+            Self::Shard(args) => args.task.is_given(),
+            _ => false,
+        }
+    }
+
     /// Lets the command's flags override the configuration.
     pub(crate) fn apply(&self, config: &mut Config) {
         match self {
@@ -155,6 +189,8 @@ pub(crate) struct RasteriseArgs {
     pub(crate) area: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) tiles: TilesFlags,
+    #[command(flatten)]
+    pub(crate) task: TaskArgs,
 }
 
 #[derive(Debug, Args)]
@@ -175,6 +211,8 @@ pub(crate) struct ImportArgs {
     /// rsrp.strict: reject maps for warnings too, and fail if any map is rejected
     #[arg(long)]
     pub(crate) strict: bool,
+    #[command(flatten)]
+    pub(crate) task: TaskArgs,
 }
 
 #[derive(Debug, Args)]
@@ -189,13 +227,8 @@ pub(crate) struct ShardArgs {
     pub(crate) output: OutputArgs,
     #[command(flatten)]
     pub(crate) dataset: DatasetFlags,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct VerifyArgs {
-    /// A dataset, or the output of another stage
-    #[arg(value_name = "DIR", value_hint = ValueHint::DirPath)]
-    pub(crate) directory: PathBuf,
+    #[command(flatten)]
+    pub(crate) task: TaskArgs,
 }
 
 #[derive(Debug, Args)]

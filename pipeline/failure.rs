@@ -6,6 +6,10 @@ use std::process::ExitCode;
 
 use holescout::error::{Fault, HasFault};
 
+/// What tells the engine of a cluster that trying again cannot help. It is unlike what shells,
+/// signals and panics make of an exit.
+pub(crate) const PERMANENT: u8 = 42;
+
 /// An error and whose fault it is.
 #[derive(Debug)]
 pub(crate) struct Failure {
@@ -24,10 +28,12 @@ impl Failure {
         Self { fault: Fault::Input, error: error.into() }
     }
 
-    /// 1 for a failure while running, 3 for invalid input; clap itself exits with 2.
-    pub(crate) fn exit_code(&self) -> ExitCode {
+    /// 1 for a failure while running, 3 for invalid input; clap itself exits with 2. One of
+    /// several tasks says [`PERMANENT`] instead of the latter two.
+    pub(crate) fn exit_code(&self, is_task: bool) -> ExitCode {
         match self.fault {
             Fault::Running => ExitCode::from(1),
+            Fault::Input if is_task => ExitCode::from(PERMANENT),
             Fault::Input => ExitCode::from(3),
         }
     }

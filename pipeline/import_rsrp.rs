@@ -11,6 +11,7 @@ use serde_json::json;
 use crate::cli::ImportArgs;
 use crate::console::{Console, Report};
 use crate::failure::Failure;
+use crate::task;
 
 pub(crate) fn run(
     args: &ImportArgs,
@@ -23,10 +24,15 @@ pub(crate) fn run(
         scenes: args.scenes.as_deref(),
         config,
         out: &args.output.out,
-        overwrite: args.output.overwrite,
+        mode: args.task.mode(args.output.overwrite)?,
     };
-    let manifest = import_maps(job, console)?;
-    for (code, maps) in warnings(&manifest) {
+    task::report("import-rsrp", import_maps(job, console)?, |manifest| {
+        report(&manifest, config.rsrp.strict, console)
+    })
+}
+
+fn report(manifest: &RsrpManifest, strict: bool, console: &Console) -> Result<Report, Failure> {
+    for (code, maps) in warnings(manifest) {
         let (example, warning) = &maps[0];
         let count = maps.len();
         console.note(&format!(
@@ -41,9 +47,9 @@ pub(crate) fn run(
             "warning: the maps were computed in {count} different ways (see solvers in manifest.json)"
         ));
     }
-    let report = Report::new(text(&manifest), &summary(&manifest))?;
-    let rejected = rejected(&manifest);
-    let fails = config.rsrp.strict && rejected > 0;
+    let report = Report::new(text(manifest), &summary(manifest))?;
+    let rejected = rejected(manifest);
+    let fails = strict && rejected > 0;
     Ok(if fails { report.failed(format!("{rejected} maps rejected")) } else { report })
 }
 
@@ -87,6 +93,6 @@ fn text(manifest: &RsrpManifest) -> String {
          {} other files ignored; import.csv tells how good each map is\n",
         manifest.maps.len(),
         rejected(manifest),
-        manifest.ignored.len(),
+        manifest.inputs.ignored.len(),
     )
 }

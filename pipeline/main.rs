@@ -15,6 +15,7 @@ mod release;
 mod scenes;
 mod schemas;
 mod shard;
+mod task;
 #[cfg(feature = "torch")]
 mod train;
 mod verify;
@@ -29,14 +30,17 @@ use console::{Console, Report};
 use failure::Failure;
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return cli::report_usage(&error),
+    };
     let console = Console::new(cli.common.quiet);
     match run(&cli, &console).and_then(|report| print(&report, cli.common.json)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) if failure.is_broken_pipe() => ExitCode::SUCCESS,
         Err(failure) => {
             console::report_error(&failure);
-            failure.exit_code()
+            failure.exit_code(cli.command.is_task())
         }
     }
 }

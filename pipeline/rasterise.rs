@@ -12,6 +12,7 @@ use serde_json::json;
 use crate::cli::RasteriseArgs;
 use crate::console::{Console, Report};
 use crate::failure::Failure;
+use crate::task;
 
 pub(crate) fn run(
     args: &RasteriseArgs,
@@ -28,10 +29,11 @@ pub(crate) fn run(
         area: &area,
         config,
         out: &args.output.out,
-        overwrite: args.output.overwrite,
+        mode: args.task.mode(args.output.overwrite)?,
     };
-    let manifest = build_tiles(job, console)?;
-    Report::new(text(&manifest), &summary(&manifest))
+    task::report("rasterise", build_tiles(job, console)?, |manifest| {
+        Report::new(text(&manifest), &summary(&manifest))
+    })
 }
 
 fn summary(manifest: &TilesManifest) -> serde_json::Value {

@@ -10,6 +10,7 @@ use serde_json::json;
 use crate::cli::ScenesArgs;
 use crate::console::{Console, Report};
 use crate::failure::Failure;
+use crate::task;
 
 pub(crate) fn run(
     args: &ScenesArgs,
@@ -22,20 +23,24 @@ pub(crate) fn run(
         sites: args.sites.as_deref(),
         config,
         out: &args.output.out,
-        overwrite: args.output.overwrite,
+        mode: args.task.mode(args.output.overwrite)?,
     };
-    let manifest = build_scenes(job, console)?;
-    let summary = json!({
+    task::report("scenes", build_scenes(job, console)?, |manifest| {
+        Report::new(text(&manifest), &summary(&manifest))
+    })
+}
+
+fn summary(manifest: &ScenesManifest) -> serde_json::Value {
+    json!({
         "stage": "scenes",
         "scenes": manifest.scenes.len(),
-        "solids": solids(&manifest),
-        "triangles": triangles(&manifest),
-        "base_stations": base_stations(&manifest),
+        "solids": solids(manifest),
+        "triangles": triangles(manifest),
+        "base_stations": base_stations(manifest),
         "without_base_station": manifest.without_base_station.len(),
         "left_out": manifest.left_out,
         "sites": manifest.sites,
-    });
-    Report::new(text(&manifest), &summary)
+    })
 }
 
 fn solids(manifest: &ScenesManifest) -> u64 {

@@ -11,6 +11,7 @@ use serde_json::json;
 use crate::cli::ShardArgs;
 use crate::console::{Console, Report};
 use crate::failure::Failure;
+use crate::task;
 
 pub(crate) fn run(args: &ShardArgs, config: &Config, console: &Console) -> Result<Report, Failure> {
     let job = ShardJob {
@@ -18,9 +19,12 @@ pub(crate) fn run(args: &ShardArgs, config: &Config, console: &Console) -> Resul
         rsrp: &args.rsrp,
         config,
         out: &args.output.out,
-        overwrite: args.output.overwrite,
+        mode: args.task.mode(args.output.overwrite)?,
     };
-    let manifest = build_dataset(job, console)?;
+    task::report("shard", build_dataset(job, console)?, |manifest| report(&manifest, console))
+}
+
+fn report(manifest: &DatasetManifest, console: &Console) -> Result<Report, Failure> {
     for split in Split::ALL {
         if !manifest.statistics.contains_key(&split) {
             console.note(&format!("note: no record fell into the {split} split"));
@@ -30,12 +34,12 @@ pub(crate) fn run(args: &ShardArgs, config: &Config, console: &Console) -> Resul
         "stage": "shard",
         "records": manifest.records.len(),
         "shards": manifest.shards.len(),
-        "bytes": bytes(&manifest),
+        "bytes": bytes(manifest),
         "statistics": manifest.statistics,
         "dropped": manifest.dropped,
         "overlapping_tile_pairs": manifest.overlapping_tile_pairs,
     });
-    Report::new(text(&manifest), &summary)
+    Report::new(text(manifest), &summary)
 }
 
 fn bytes(manifest: &DatasetManifest) -> u64 {

@@ -3,9 +3,10 @@
 use std::fmt::Write;
 
 use holescout::dataset::verify;
+use holescout::rebuild::{GivenInputs, rebuild};
 use serde_json::json;
 
-use crate::cli::VerifyArgs;
+use crate::cli::{InputArgs, VerifyArgs};
 use crate::console::{Console, Report};
 use crate::failure::Failure;
 
@@ -14,14 +15,31 @@ const MOST_PRINTED: usize = 100;
 
 pub(crate) fn run(args: &VerifyArgs, console: &Console) -> Result<Report, Failure> {
     let verification = verify(&args.directory, console)?;
-    let failures = &verification.failures;
-    let summary = json!({
+    let mut failures = verification.failures;
+    let mut rebuilt = None;
+    if args.rebuild {
+        let InputArgs { osm, maps, scenes, tiles, sites } = &args.inputs;
+        let given = GivenInputs {
+            osm,
+            maps: maps.as_deref(),
+            scenes: scenes.as_deref(),
+            tiles: tiles.as_deref(),
+            sites: sites.as_deref(),
+        };
+        let rebuilding = rebuild(&args.directory, given, console)?;
+        rebuilt = Some(rebuilding.files);
+        failures.extend(rebuilding.failures);
+    }
+    let mut summary = json!({
         "stage": "verify",
         "schema": verification.schema,
         "files": verification.files,
         "items": verification.items,
         "failures": failures.iter().map(ToString::to_string).collect::<Vec<_>>(),
     });
+    if let Some(files) = rebuilt {
+        summary["rebuilt"] = json!(files);
+    }
     let mut text = String::new();
     for failure in failures.iter().take(MOST_PRINTED) {
         writeln!(text, "{failure}").expect("writing to a string cannot fail");
@@ -31,6 +49,10 @@ pub(crate) fn run(args: &VerifyArgs, console: &Console) -> Result<Report, Failur
         let (files, items) = (verification.files, verification.items);
         writeln!(text, "{directory}: sound: {files} files and {items} items verified")
             .expect("writing to a string cannot fail");
+        if let Some(files) = rebuilt {
+            writeln!(text, "{directory}: rebuilt: all {files} files have the same SHA-256")
+                .expect("writing to a string cannot fail");
+        }
         return Report::new(text, &summary);
     }
     let report = Report::new(text, &summary)?;

@@ -19,6 +19,7 @@
 //! 8. [`rl`]: the task on a record, policies, the exact optimum
 //! 9. [`evaluate`]: precision and recall of policies, with intervals, and the report
 //! 10. [`release`]: datasets that are published, and what changes from one to the next
+//! 11. [`rebuild`]: an output once more from its recorded inputs
 
 pub mod building;
 pub mod config;
@@ -33,6 +34,7 @@ pub mod progress;
 pub mod radio_map;
 pub mod random;
 pub mod rasterise;
+pub mod rebuild;
 pub mod release;
 pub mod rl;
 pub mod scene;

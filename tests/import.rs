@@ -182,7 +182,7 @@ fn check_imports(cases: &[(Producer, u64)]) {
     run(&mut import(&maps, &SITE.tiles, &out)).succeeds();
     let manifest = read_json(&out.join("manifest.json"));
     assert_eq!(manifest["rejected"], json!({}));
-    assert_eq!(manifest["ignored"], json!([]), "a sidecar is no file of its own");
+    assert_eq!(manifest["inputs"]["ignored"], json!([]), "a sidecar is no file of its own");
     for (((producer, _), tile), truth) in cases.iter().zip(&SITE.ids).zip(&truths) {
         let entry = manifest["maps"].as_array().expect("a list").iter();
         let entry = entry.clone().find(|map| map["id"] == json!(tile)).expect("imported");

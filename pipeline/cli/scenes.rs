@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum, ValueHint};
 use holescout::config::{Config, Placement};
 
-use super::{OutputArgs, set};
+use super::{OutputArgs, TaskArgs, set};
 
 #[derive(Debug, Args)]
 pub(crate) struct ScenesArgs {
@@ -27,6 +27,8 @@ pub(crate) struct ScenesArgs {
     pub(crate) output: OutputArgs,
     #[command(flatten)]
     pub(super) scene: SceneFlags,
+    #[command(flatten)]
+    pub(crate) task: TaskArgs,
 }
 
 impl ScenesArgs {

@@ -18,13 +18,15 @@ use crate::config::{Config, Split};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
-    DatasetConfig, DatasetManifest, Dropped, IndexEntry, ManifestError, MapEntry, RsrpFile,
+    Built, DatasetConfig, DatasetManifest, Dropped, IndexEntry, ManifestError, MapEntry, RsrpFile,
     RsrpManifest, ShardEntry, Software, SplitStatistics, StageFileError, TileEntry, TileFile,
-    TilesManifest, fingerprint, load, to_json,
+    TilesManifest, already_built, fingerprint, load, to_json,
 };
 use crate::progress::Progress;
 use crate::radio_map::{MASK_BUILDING, MASK_UNREACHED};
-use crate::store::{Digest, OutputDir, OutputError, SeekableWriter, compress_frame, sha256_bytes};
+use crate::store::{
+    BuildMode, Digest, OutputDir, OutputError, SeekableWriter, compress_frame, sha256_bytes,
+};
 
 /// Why a dataset could not be built.
 #[derive(Debug, thiserror::Error)]
@@ -115,8 +117,8 @@ pub struct ShardJob<'a> {
     pub config: &'a Config,
     /// The directory to fill.
     pub out: &'a Path,
-    /// Replace a dataset of other inputs that is there.
-    pub overwrite: bool,
+    /// What to build, and whether to replace a dataset of other inputs that is there.
+    pub mode: BuildMode,
 }
 
 /// A shard that is done: what the journal remembers.
@@ -141,14 +143,14 @@ struct PlannedShard {
     ids: Vec<TileId>,
 }
 
-/// Builds a dataset and returns the manifest that was written.
+/// Builds a dataset, or a task's part of it.
 ///
 /// # Errors
 /// [`ShardError`]; the directory then holds no manifest.
 pub fn build_dataset(
     job: ShardJob<'_>,
     progress: &dyn Progress,
-) -> Result<DatasetManifest, ShardError> {
+) -> Result<Built<DatasetManifest>, ShardError> {
     let (tiles, tiles_digest) =
         load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
     let (rsrp, rsrp_digest) = load::<RsrpManifest>(job.rsrp, "import-rsrp", RsrpManifest::SCHEMA)?;
@@ -172,6 +174,9 @@ pub fn build_dataset(
         return Err(ShardError::Downsample { cells, factor });
     }
     let fingerprint = fingerprint(&(DatasetManifest::SCHEMA, &config, &tiles_digest, &rsrp_digest));
+    if let Some(built) = already_built(job.out, "dataset", &fingerprint, job.mode, progress)? {
+        return Ok(built);
+    }
 
     let ids: Vec<TileId> = rsrp.maps.iter().map(|map| map.id).collect();
     let splits = assign_splits(&ids, &config.grid, &config.split);
@@ -183,13 +188,18 @@ pub fn build_dataset(
         config,
     };
 
-    let output = OutputDir::begin(job.out, "dataset", &fingerprint, job.overwrite)?;
-    progress.begin("building records", Some(splits.kept.len() as u64));
-    let done = plan
-        .iter()
+    let mut output = OutputDir::begin(job.out, "dataset", &fingerprint, job.mode)?;
+    let mine = output.take_up(&plan, |shard| shard.file.clone(), progress)?;
+    let records: usize = mine.iter().map(|shard| shard.ids.len()).sum();
+    progress.begin("building records", Some(records as u64));
+    let done = mine
+        .into_iter()
         .map(|shard| build_shard(shard, &context, &output, progress))
         .collect::<Result<Vec<_>, _>>()?;
     progress.end();
+    if let Some(report) = output.end_task()? {
+        return Ok(Built::Part(report));
+    }
 
     let mut sums: BTreeMap<Split, Option<SplitStatistics>> = BTreeMap::new();
     for DoneShard { entry, statistics } in &done {
@@ -203,11 +213,13 @@ pub fn build_dataset(
         licence: tiles.licence.clone(),
         attribution: tiles.attribution.clone(),
         epsg: tiles.epsg,
+        area: tiles.area.clone(),
         cells: context.config.shard.record_cells(&context.config.grid) as u32,
         cell_m: context.config.shard.cell_m(&context.config.grid),
         inputs: tiles.inputs.clone(),
         tiles_manifest_sha256: tiles_digest.sha256,
         rsrp_manifest_sha256: rsrp_digest.sha256,
+        import: rsrp.inputs.clone(),
         buildings: tiles.buildings,
         statistics: sums.into_iter().filter_map(|(split, sum)| Some((split, sum?))).collect(),
         dropped: Dropped {
@@ -226,7 +238,7 @@ pub fn build_dataset(
     output.write("NOTICE", card::notice(&manifest).as_bytes())?;
     output.write(croissant::FILE, &croissant::croissant(&manifest, &sha256_bytes(&bytes), None))?;
     output.complete(&bytes)?;
-    Ok(manifest)
+    Ok(Built::Whole(manifest))
 }
 
 /// Records in an order that depends on their names and the seed only, so that the records of

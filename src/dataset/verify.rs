@@ -15,7 +15,7 @@ use crate::config::{Config, Split};
 use crate::grid::TileId;
 use crate::manifest::{
     DatasetConfig, DatasetManifest, EvaluationManifest, ManifestError, RsrpFile, RsrpManifest,
-    ScenesManifest, ShardEntry, SplitStatistics, TileFile, TilesManifest, load,
+    ScenesManifest, ShardEntry, SplitStatistics, TileFile, TilesManifest, load, schema,
 };
 use crate::progress::Progress;
 use crate::scene::check_scene;
@@ -99,12 +99,6 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
     failures.sort();
     failures.dedup();
     Ok(Verification { schema: found.unwrap_or_default(), files, items, failures })
-}
-
-fn schema(root: &Path) -> Option<String> {
-    let text = std::fs::read(root.join(MANIFEST)).ok()?;
-    let value: serde_json::Value = serde_json::from_slice(&text).ok()?;
-    Some(value.get("schema")?.as_str()?.to_owned())
 }
 
 fn failure(file: &str, reason: impl Into<String>) -> VerifyFailure {

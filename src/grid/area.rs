@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use geo::{BoundingRect, Contains, MultiPolygon, Point, Polygon, Rect, coord};
+use geo::{BoundingRect, Contains, Coord, LineString, MultiPolygon, Point, Polygon, Rect, coord};
 
 use crate::error::{Fault, FileError, HasFault};
 
@@ -88,6 +88,31 @@ impl Area {
         Ok(Self::Inside(MultiPolygon(polygons)))
     }
 
+    /// From the coordinates of GeoJSON polygons, as manifests record them.
+    #[must_use]
+    pub fn from_coordinates(polygons: &[Vec<Vec<[f64; 2]>>]) -> Self {
+        let ring = |ring: &Vec<[f64; 2]>| ring.iter().copied().map(Coord::from).collect();
+        let polygon = |rings: &Vec<Vec<[f64; 2]>>| {
+            let mut rings = rings.iter().map(ring);
+            let exterior = rings.next().unwrap_or_else(|| LineString::new(Vec::new()));
+            Polygon::new(exterior, rings.collect())
+        };
+        Self::Inside(polygons.iter().map(polygon).collect())
+    }
+
+    /// The polygons as GeoJSON coordinates; `None` for the whole extract.
+    #[must_use]
+    pub fn coordinates(&self) -> Option<Vec<Vec<Vec<[f64; 2]>>>> {
+        let Self::Inside(MultiPolygon(polygons)) = self else {
+            return None;
+        };
+        let ring = |line: &LineString<f64>| line.coords().map(|p| [p.x, p.y]).collect();
+        let rings = |polygon: &Polygon<f64>| {
+            std::iter::once(polygon.exterior()).chain(polygon.interiors()).map(ring).collect()
+        };
+        Some(polygons.iter().map(rings).collect())
+    }
+
     /// Whether a place lies inside.
     #[must_use]
     pub fn contains(&self, lon: f64, lat: f64) -> bool {
@@ -144,6 +169,8 @@ mod tests {
         );
         let area = Area::from_geojson(&path).expect("a polygon");
         assert!(area.contains(1.5, 1.5) && !area.contains(0.9, 0.7));
+        let again = Area::from_coordinates(&area.coordinates().expect("polygons"));
+        assert_eq!(again, area, "recorded and read again");
         write(r#"{"type":"Point","coordinates":[0,0]}"#);
         assert!(matches!(Area::from_geojson(&path), Err(AreaError::NoPolygon { .. })));
         write("roads");

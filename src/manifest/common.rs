@@ -108,6 +108,14 @@ pub fn json_schema<T: JsonSchema>() -> Vec<u8> {
     to_json(&SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>())
 }
 
+/// The schema of a directory's manifest, if it has one.
+#[must_use]
+pub fn schema(directory: &Path) -> Option<String> {
+    let text = std::fs::read(directory.join(MANIFEST)).ok()?;
+    let value: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    Some(value.get("schema")?.as_str()?.to_owned())
+}
+
 /// Reads a directory's manifest, with its digest.
 ///
 /// # Errors

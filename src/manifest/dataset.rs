@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{BuildingCounts, BuiltBySource, Input, MaskCounts, Software};
+use super::{BuildingCounts, BuiltBySource, ImportInputs, Input, MaskCounts, Software};
 use crate::building::{Action, Defect};
 use crate::config::{
     BuildingsConfig, FilterConfig, GridConfig, RsrpConfig, ShardConfig, Split, SplitConfig,
@@ -146,6 +146,9 @@ pub struct DatasetManifest {
     pub attribution: String,
     /// EPSG code of the projection.
     pub epsg: u32,
+    /// Polygons that were asked for, as GeoJSON coordinates in degrees; absent for the whole extract.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub area: Option<Vec<Vec<Vec<[f64; 2]>>>>,
     /// Cells along a side of every record.
     pub cells: u32,
     /// Side of a cell, in metres.
@@ -158,6 +161,8 @@ pub struct DatasetManifest {
     pub tiles_manifest_sha256: String,
     /// SHA-256 of the manifest of the radio maps.
     pub rsrp_manifest_sha256: String,
+    /// What the radio maps were imported from.
+    pub import: ImportInputs,
     /// Buildings of the extracts.
     pub buildings: BuildingCounts,
     /// Figures of every split that has records.

@@ -3,6 +3,7 @@
 //! A manifest names its inputs by content, never by path, and holds no time of day, so
 //! that the same inputs give the same manifest anywhere.
 
+mod built;
 mod common;
 mod dataset;
 mod evaluation;
@@ -12,7 +13,10 @@ mod rsrp;
 mod scenes;
 mod tiles;
 
-pub use common::{Input, ManifestError, Software, fingerprint, json_schema, load, parse, to_json};
+pub use built::{Built, already_built};
+pub use common::{
+    Input, ManifestError, Software, fingerprint, json_schema, load, parse, schema, to_json,
+};
 pub use dataset::{
     DatasetConfig, DatasetManifest, Dropped, IndexEntry, Release, RsrpHistogram, ShardEntry,
     SplitStatistics,
@@ -23,8 +27,9 @@ pub use files::{
 };
 pub use policy::PolicyManifest;
 pub use rsrp::{
-    BaseStation, Evidence, MapEntry, MapQuality, MapWarning, MaskCounts, OrientationScore, Radio,
-    RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap, ValueKind, WarningCode,
+    BaseStation, Evidence, ImportInputs, MapEntry, MapFile, MapQuality, MapWarning, MaskCounts,
+    OrientationScore, Radio, RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap, ValueKind,
+    WarningCode,
 };
 pub use scenes::{
     LeftOutSolids, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation, ScenesConfig,

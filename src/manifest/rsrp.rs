@@ -323,6 +323,35 @@ pub struct SolverCount {
     pub samples_per_tx: [u64; 2],
 }
 
+/// A file of the directory of maps.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MapFile {
+    /// File name without directories.
+    pub file: String,
+    /// Size and SHA-256; absent if it could not be read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub digest: Option<Digest>,
+    /// Those of the `.json` of the same name, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sidecar: Option<Digest>,
+}
+
+/// What an import depends on, beside tiles and configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ImportInputs {
+    /// Side of a record's cell that rays were counted for, in metres.
+    pub record_cell_m: f64,
+    /// SHA-256 of the manifest of the scenes, if they told where transmitters stand.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scenes_manifest_sha256: Option<String>,
+    /// The maps, those that were rejected too, by name.
+    pub maps: Vec<MapFile>,
+    /// Files that are no maps, such as a README.
+    pub ignored: Vec<String>,
+}
+
 /// `RSRP/manifest.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -348,8 +377,8 @@ pub struct RsrpManifest {
     pub solvers: Vec<SolverCount>,
     /// Rejected files by reason; `rejected.csv` lists them.
     pub rejected: BTreeMap<String, u64>,
-    /// Files that are no maps, such as a README.
-    pub ignored: Vec<String>,
+    /// What was read beside the tiles.
+    pub inputs: ImportInputs,
     /// The maps imported, by name of tile.
     pub maps: Vec<MapEntry>,
 }

@@ -9,7 +9,8 @@ use super::align::AlignedMap;
 use super::examine::Context;
 use super::rejection::Rejection;
 use crate::manifest::{
-    MapEntry, MapQuality, Radio, RsrpManifest, RsrpMeta, Software, Solver, SolverCount, to_json,
+    ImportInputs, MapEntry, MapQuality, Radio, RsrpManifest, RsrpMeta, Software, Solver,
+    SolverCount, to_json,
 };
 use crate::store::{Digest, npy_bytes, npz_bytes};
 
@@ -108,7 +109,7 @@ pub(super) fn summarise(
     context: &Context<'_>,
     fingerprint: String,
     tiles_digest: &Digest,
-    ignored: Vec<String>,
+    inputs: ImportInputs,
 ) -> RsrpManifest {
     let mut maps = Vec::new();
     let mut rejected = BTreeMap::new();
@@ -144,7 +145,7 @@ pub(super) fn summarise(
         tiles_manifest_sha256: tiles_digest.sha256.clone(),
         solvers,
         rejected,
-        ignored,
+        inputs,
         maps,
     }
 }

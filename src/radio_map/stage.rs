@@ -15,11 +15,12 @@ use crate::config::{Config, RsrpConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
-    ManifestError, MapEntry, RsrpManifest, ScenesManifest, StageFileError, TileEntry,
-    TilesManifest, dropped_tiles, fingerprint, load, to_json,
+    Built, ImportInputs, ManifestError, MapEntry, MapFile, RsrpManifest, ScenesManifest,
+    StageFileError, TileEntry, TilesManifest, already_built, dropped_tiles, fingerprint, load,
+    to_json,
 };
 use crate::progress::Progress;
-use crate::store::{Digest, OutputDir, OutputError, sha256_file};
+use crate::store::{BuildMode, Digest, OutputDir, OutputError, sha256_file};
 
 /// Why maps could not be imported at all. Single maps are rejected, not errors.
 #[derive(Debug, thiserror::Error)]
@@ -85,8 +86,8 @@ pub struct ImportJob<'a> {
     pub config: &'a Config,
     /// The directory to fill.
     pub out: &'a Path,
-    /// Replace maps of other inputs that are there.
-    pub overwrite: bool,
+    /// What to build, and whether to replace maps of other inputs that are there.
+    pub mode: BuildMode,
 }
 
 /// A file of the maps' directory.
@@ -98,7 +99,7 @@ struct Source {
     sidecar: Option<Digest>,
 }
 
-/// Imports all maps of a directory and returns the manifest that was written.
+/// Imports the maps of a directory, or a task's part of them.
 ///
 /// # Errors
 /// [`ImportError`]. Maps that do not follow the contract are no errors: `rejected.csv`
@@ -106,7 +107,7 @@ struct Source {
 pub fn import_maps(
     job: ImportJob<'_>,
     progress: &dyn Progress,
-) -> Result<RsrpManifest, ImportError> {
+) -> Result<Built<RsrpManifest>, ImportError> {
     let (manifest, tiles_digest) =
         load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
     let scenes = job.scenes.map(|scenes| read_scenes(scenes, &tiles_digest)).transpose()?;
@@ -118,20 +119,17 @@ pub fn import_maps(
     let sources: Vec<Source> = paths.into_par_iter().map(source).collect();
     let config = &job.config.rsrp;
     let record_cell_m = job.config.shard.cell_m(&manifest.config.grid);
-    let inputs: Vec<_> = sources
-        .iter()
-        .map(|source| (&source.name, source.digest.as_ref().ok(), &source.sidecar))
-        .collect();
-    let fingerprint = fingerprint(&(
-        RsrpManifest::SCHEMA,
-        config,
+    let inputs = ImportInputs {
         record_cell_m,
-        &tiles_digest,
-        &inputs,
-        &ignored,
-        scenes_digest,
-    ));
-    let output = OutputDir::begin(job.out, "rsrp", &fingerprint, job.overwrite)?;
+        scenes_manifest_sha256: scenes_digest.map(|digest| digest.sha256),
+        maps: sources.iter().map(map_file).collect(),
+        ignored,
+    };
+    let fingerprint = fingerprint(&(RsrpManifest::SCHEMA, config, &tiles_digest, &inputs));
+    if let Some(built) = already_built(job.out, "rsrp", &fingerprint, job.mode, progress)? {
+        return Ok(built);
+    }
+    let mut output = OutputDir::begin(job.out, "rsrp", &fingerprint, job.mode)?;
 
     let context = Context {
         tiles: job.tiles,
@@ -143,12 +141,15 @@ pub fn import_maps(
         record_cell_m,
         limit: u64::from(config.max_array_mib) << 20,
     };
-    let outcomes = import_all(&sources, &context, &output, progress)?;
+    let outcomes = import_all(&sources, &context, &mut output, progress)?;
+    if let Some(report) = output.end_task()? {
+        return Ok(Built::Part(report));
+    }
     output.write("rejected.csv", &rejected_csv(&outcomes))?;
     output.write("import.csv", &imported_csv(&outcomes))?;
-    let manifest = summarise(&outcomes, &context, fingerprint, &tiles_digest, ignored);
+    let manifest = summarise(&outcomes, &context, fingerprint, &tiles_digest, inputs);
     output.complete(&to_json(&manifest))?;
-    Ok(manifest)
+    Ok(Built::Whole(manifest))
 }
 
 /// What scenes tell of maps, with the digest of their manifest.
@@ -170,11 +171,20 @@ fn source(path: PathBuf) -> Source {
     Source { path, name, digest, sidecar }
 }
 
-/// Metadata first, since two files may claim one tile; then the maps themselves.
+/// What the manifest says of a source.
+fn map_file(source: &Source) -> MapFile {
+    MapFile {
+        file: source.name.clone(),
+        digest: source.digest.as_ref().ok().cloned(),
+        sidecar: source.sidecar.clone(),
+    }
+}
+
+/// Metadata of all maps first, since two files may claim one tile; then the maps themselves.
 fn import_all(
     sources: &[Source],
     context: &Context<'_>,
-    output: &OutputDir,
+    output: &mut OutputDir,
     progress: &dyn Progress,
 ) -> Result<Vec<Outcome>, ImportError> {
     progress.begin("reading metadata", Some(sources.len() as u64));
@@ -196,10 +206,12 @@ fn import_all(
             claims.entry(&metadata.location_id).or_default().push(&source.name);
         }
     }
-    progress.begin("importing radio maps", Some(sources.len() as u64));
-    let outcomes = sources
-        .par_iter()
-        .zip(&described)
+    let all: Vec<_> = sources.iter().zip(&described).collect();
+    let mine = output.take_up(&all, |(source, _)| source.name.clone(), progress)?;
+    let output = &*output;
+    progress.begin("importing radio maps", Some(mine.len() as u64));
+    let outcomes = mine
+        .into_par_iter()
         .map(|(source, described)| {
             let outcome = import_one(source, described.as_ref(), &claims, context, output);
             progress.advance(1);

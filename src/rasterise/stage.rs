@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use geo::MultiPolygon;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -14,12 +13,12 @@ use crate::config::{Config, FilterConfig, GridConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::{Area, TileId};
 use crate::manifest::{
-    BuildingCounts, Input, Software, TileEntry, TileMeta, TileStatistics, TilesConfig,
-    TilesManifest, Verdict, fingerprint, to_json,
+    BuildingCounts, Built, Input, Software, TileEntry, TileMeta, TileStatistics, TilesConfig,
+    TilesManifest, Verdict, already_built, fingerprint, to_json,
 };
 use crate::osm::{Extract, ReadError, read_buildings};
 use crate::progress::Progress;
-use crate::store::{Digest, OutputDir, OutputError, npy_bytes, npz_bytes, sha256_file};
+use crate::store::{BuildMode, Digest, OutputDir, OutputError, npy_bytes, npz_bytes, sha256_file};
 
 /// Deflate level of tiles. Level 2 takes half again to twice the time of level 1 and leaves
 /// two thirds to half of the size; each further level saves less and costs more
@@ -89,8 +88,8 @@ pub struct TilesJob<'a> {
     pub config: &'a Config,
     /// The directory to fill.
     pub out: &'a Path,
-    /// Replace tiles of other inputs that are there.
-    pub overwrite: bool,
+    /// What to build, and whether to replace tiles of other inputs that are there.
+    pub mode: BuildMode,
 }
 
 /// A candidate tile: what the journal remembers and `tiles.csv` lists.
@@ -102,7 +101,7 @@ struct Candidate {
     digest: Option<Digest>,
 }
 
-/// Builds all tiles of a job and returns the manifest that was written.
+/// Builds the tiles of a job, or a task's part of them.
 ///
 /// # Errors
 /// [`RasteriseError`]. The directory is not touched before the extracts have been read, and
@@ -110,32 +109,38 @@ struct Candidate {
 pub fn build_tiles(
     job: TilesJob<'_>,
     progress: &dyn Progress,
-) -> Result<TilesManifest, RasteriseError> {
+) -> Result<Built<TilesManifest>, RasteriseError> {
     let Config { grid, buildings, filter, .. } = job.config;
     let config =
         TilesConfig { grid: grid.clone(), buildings: buildings.clone(), filter: filter.clone() };
     let inputs = inputs(job.osm, &config)?;
-    let area = coordinates(job.area);
+    let area = job.area.coordinates();
     let digests: Vec<_> = inputs.iter().map(|input| &input.digest).collect();
     let fingerprint = fingerprint(&(TilesManifest::SCHEMA, &config, &digests, &area));
-    OutputDir::check(job.out, "tiles", &fingerprint, job.overwrite)?;
+    if let Some(built) = already_built(job.out, "tiles", &fingerprint, job.mode, progress)? {
+        return Ok(built);
+    }
 
     let Extract { buildings, utm, problems } =
         read_buildings(job.osm, &config.buildings, grid.epsg, job.area, progress)?;
     let source = TileSource::new(&buildings, grid, utm);
     let candidates = select(&source, job.area, grid)?;
 
-    let output = OutputDir::begin(job.out, "tiles", &fingerprint, job.overwrite)?;
+    let mut output = OutputDir::begin(job.out, "tiles", &fingerprint, job.mode)?;
+    let candidates = output.take_up(&candidates, ToString::to_string, progress)?;
     progress.begin("rasterising tiles", Some(candidates.len() as u64));
     let candidates = candidates
         .par_iter()
-        .map(|&id| {
+        .map(|&&id| {
             let candidate = build_tile(id, &source, &config, &output);
             progress.advance(1);
             candidate
         })
         .collect::<Result<Vec<_>, _>>()?;
     progress.end();
+    if let Some(report) = output.end_task()? {
+        return Ok(Built::Part(report));
+    }
 
     output.write("tiles.csv", &tiles_csv(&candidates))?;
     output.write("problems.csv", &problems_csv(&problems))?;
@@ -159,7 +164,7 @@ pub fn build_tiles(
         tiles: candidates.into_iter().filter_map(entry).collect(),
     };
     output.complete(&to_json(&manifest))?;
-    Ok(manifest)
+    Ok(Built::Whole(manifest))
 }
 
 fn inputs(files: &[PathBuf], config: &TilesConfig) -> Result<Vec<Input>, FileError> {
@@ -174,18 +179,6 @@ fn inputs(files: &[PathBuf], config: &TilesConfig) -> Result<Vec<Input>, FileErr
             })
         })
         .collect()
-}
-
-/// An area as GeoJSON coordinates.
-fn coordinates(area: &Area) -> Option<Vec<Vec<Vec<[f64; 2]>>>> {
-    let Area::Inside(MultiPolygon(polygons)) = area else {
-        return None;
-    };
-    let ring = |line: &geo::LineString<f64>| line.coords().map(|p| [p.x, p.y]).collect();
-    let rings = |polygon: &geo::Polygon<f64>| {
-        std::iter::once(polygon.exterior()).chain(polygon.interiors()).map(ring).collect()
-    };
-    Some(polygons.iter().map(rings).collect())
 }
 
 fn select(

@@ -16,13 +16,14 @@ use crate::config::{Config, ConfigError, GridConfig, Placement};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::{Area, BoxIndex, TileId};
 use crate::manifest::{
-    LeftOutSolids, ManifestError, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation,
-    ScenesConfig, ScenesManifest, SitesInput, Software, TilesManifest, fingerprint, load, to_json,
+    Built, LeftOutSolids, ManifestError, SceneEntry, SceneFile, SceneMaterials, SceneMeta,
+    SceneStation, ScenesConfig, ScenesManifest, SitesInput, Software, TilesManifest, already_built,
+    fingerprint, load, to_json,
 };
 use crate::osm::{Extract, ReadError, read_buildings};
 use crate::progress::Progress;
 use crate::rasterise::TileSource;
-use crate::store::{Digest, OutputDir, OutputError, sha256_file};
+use crate::store::{BuildMode, Digest, OutputDir, OutputError, sha256_file};
 
 /// Why scenes could not be built.
 #[derive(Debug, thiserror::Error)]
@@ -119,8 +120,8 @@ pub struct ScenesJob<'a> {
     pub config: &'a Config,
     /// The directory to fill.
     pub out: &'a Path,
-    /// Replace scenes of other inputs that are there.
-    pub overwrite: bool,
+    /// What to build, and whether to replace scenes of other inputs that are there.
+    pub mode: BuildMode,
 }
 
 /// What became of a tile: what the journal remembers.
@@ -147,7 +148,7 @@ struct Context<'a> {
     sites: Vec<([f64; 2], Site)>,
 }
 
-/// Builds all scenes of a job and returns the manifest that was written.
+/// Builds the scenes of a job, or a task's part of them.
 ///
 /// # Errors
 /// [`SceneError`]. The directory is not touched before the extracts have been read, and holds no
@@ -155,7 +156,7 @@ struct Context<'a> {
 pub fn build_scenes(
     job: ScenesJob<'_>,
     progress: &dyn Progress,
-) -> Result<ScenesManifest, SceneError> {
+) -> Result<Built<ScenesManifest>, SceneError> {
     let (tiles, tiles_digest) =
         load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
     let config = ScenesConfig {
@@ -171,7 +172,9 @@ pub fn build_scenes(
     let sites_digest = sites_input.as_ref().map(|input| &input.digest);
     let fingerprint =
         fingerprint(&(ScenesManifest::SCHEMA, &config, map_cell_m, &tiles_digest, sites_digest));
-    OutputDir::check(job.out, "scenes", &fingerprint, job.overwrite)?;
+    if let Some(built) = already_built(job.out, "scenes", &fingerprint, job.mode, progress)? {
+        return Ok(built);
+    }
 
     let epsg = Some(tiles.epsg);
     let Extract { buildings, utm, .. } =
@@ -197,10 +200,10 @@ pub fn build_scenes(
         sites,
     };
 
-    let output = OutputDir::begin(job.out, "scenes", &fingerprint, job.overwrite)?;
-    progress.begin("writing scenes", Some(tiles.tiles.len() as u64));
-    let outcomes = tiles
-        .tiles
+    let mut output = OutputDir::begin(job.out, "scenes", &fingerprint, job.mode)?;
+    let mine = output.take_up(&tiles.tiles, |tile| tile.id.to_string(), progress)?;
+    progress.begin("writing scenes", Some(mine.len() as u64));
+    let outcomes = mine
         .par_iter()
         .map(|tile| {
             let outcome = build_scene(tile.id, &context, &output);
@@ -209,10 +212,13 @@ pub fn build_scenes(
         })
         .collect::<Result<Vec<_>, _>>()?;
     progress.end();
+    if let Some(report) = output.end_task()? {
+        return Ok(Built::Part(report));
+    }
     let manifest =
         summarise(outcomes, &context, fingerprint, &tiles_digest, left_out, sites_input)?;
     output.complete(&to_json(&manifest))?;
-    Ok(manifest)
+    Ok(Built::Whole(manifest))
 }
 
 /// The extracts in the order of the tiles' manifest: of an object in several the first counts.

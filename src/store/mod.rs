@@ -16,7 +16,9 @@ pub use atomic::{write_atomic, write_atomic_with};
 pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
-pub use output::{MANIFEST, OutputDir, OutputError, SUMS, parse_sums};
+pub use output::{
+    BuildMode, Gap, MANIFEST, OutputDir, OutputError, Part, SUMS, Task, TaskReport, parse_sums,
+};
 #[cfg(feature = "remote")]
 pub use remote::{Remote, RemoteError};
 pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};

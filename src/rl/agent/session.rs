@@ -52,7 +52,7 @@ impl HasFault for SessionError {
         match self {
             Self::Train(error) => error.fault(),
             Self::File(error) => error.fault(),
-            Self::Busy { .. } => Fault::Input,
+            Self::Busy { .. } => Fault::Running,
         }
     }
 }
