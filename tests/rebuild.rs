@@ -10,8 +10,8 @@ use std::process::Command;
 use serde_json::{Value, json};
 
 use pipeline::{
-    HELSINKI, assert_says, copy_of, fixture, holescout, import, plant, rasterise, read_json, run,
-    sha256, shard, temporary_dir, tree, verify, write,
+    HELSINKI, assert_same_files, assert_says, copy_of, fixture, holescout, import, plant,
+    rasterise, read_json, run, sha256, shard, temporary_dir, tree, verify, write,
 };
 
 fn osm() -> PathBuf {
@@ -56,7 +56,7 @@ fn forge(root: &Path, change: impl FnOnce(&mut Value)) {
 #[test]
 fn every_stage_gives_the_same_files_again() {
     let said = run(&mut rebuild_dataset(&HELSINKI.dataset)).succeeds();
-    assert_says(&said, &["sound", "all 6 files have the same SHA-256"]);
+    assert_says(&said, &["sound", "all 7 files have the same SHA-256"]);
     run(&mut rebuild(&HELSINKI.tiles)).succeeds();
     let mut of_maps = verify(&HELSINKI.rsrp);
     of_maps.arg("--rebuild").arg("--maps").arg(maps()).arg("--tiles").arg(&HELSINKI.tiles);
@@ -64,7 +64,7 @@ fn every_stage_gives_the_same_files_again() {
     let summary = run(rebuild_dataset(&HELSINKI.dataset).arg("--json")).succeeds();
     let summary: Value =
         serde_json::from_str(summary.lines().last().expect("a line")).expect("JSON");
-    assert_eq!(summary["rebuilt"], 6);
+    assert_eq!(summary["rebuilt"], 7);
 }
 
 /// Everything that a manifest must record for that: an area, scenes that told transmitters, maps
@@ -103,6 +103,28 @@ fn an_unusual_dataset_gives_the_same_files_again() {
     run(again.arg("--scenes").arg(at("scenes"))).succeeds();
     let recorded = read_json(&at("dataset/manifest.json"));
     assert!(recorded["area"].is_array() && recorded["import"]["record_cell_m"] == 2.0);
+
+    let release = at("release");
+    let mut released = pipeline::release(&at("dataset"), "2.0.0-rc.1", &release);
+    released.args(["--date", "2026-07-01", "--creator", "Ann O'Neill", "--name", "centre"]);
+    run(&mut released).succeeds();
+    let mut again = rebuild_dataset(&release);
+    again.arg("--scenes").arg(at("scenes"));
+    assert_says(&run(&mut again).refused(), &["maps", "broken.npz"]);
+    again = rebuild(&release);
+    again.arg("--maps").arg(at("maps")).arg("--scenes").arg(at("scenes"));
+    run(&mut again).succeeds();
+    forge(&release, |manifest| manifest["release"]["version"] = json!("2.0.0-rc.2"));
+    assert_says(&run(&mut again).refused(), &["README.md"]);
+
+    // What the card's first command does with the area.
+    let mut tiles = holescout("rasterise");
+    tiles.arg("--osm").arg(osm()).arg("--config").arg(release.join("config.toml"));
+    tiles.arg("--area").arg(release.join("area.geojson")).arg("--out").arg(at("tiles-again"));
+    run(&mut tiles).succeeds();
+    assert_same_files(&tree(&at("tiles-again")), &tree(&at("tiles")));
+    let card = fs::read_to_string(release.join("README.md")).expect("read");
+    assert_says(&card, &["--area area.geojson", "`area.geojson`", "--scenes"]);
 }
 
 /// The fixtures' configuration with smaller records than those of the shards.

@@ -10,7 +10,7 @@ use crate::error::FileError;
 use crate::manifest::ManifestError;
 #[cfg(feature = "remote")]
 use crate::store::Remote;
-use crate::store::{Digest, SeekError};
+use crate::store::{Digest, MANIFEST, SeekError};
 
 /// Where a dataset lies.
 #[derive(Debug)]
@@ -52,7 +52,7 @@ impl Place {
         };
         let path = directory.join(name);
         let read = std::fs::read(&path).map_err(|error| match error.kind() {
-            ErrorKind::NotFound => {
+            ErrorKind::NotFound if name == MANIFEST => {
                 ManifestError::Absent { directory: directory.clone(), stage: "shard" }
             }
             _ => FileError::new("read", &path)(error).into(),

@@ -8,6 +8,7 @@ use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::ManifestError;
 use crate::radio_map::ImportError;
 use crate::rasterise::RasteriseError;
+use crate::release::ReleaseError;
 use crate::scene::SceneError;
 
 /// Why an output cannot be built once more.
@@ -35,6 +36,9 @@ pub enum RebuildError {
     /// The shards cannot be built.
     #[error(transparent)]
     Shard(#[from] ShardError),
+    /// The release cannot be made.
+    #[error(transparent)]
+    Release(#[from] ReleaseError),
     /// No stage that can be repeated.
     #[error("{schema} cannot be rebuilt: only tiles, scenes, imported maps and datasets can")]
     NoStage {
@@ -105,6 +109,7 @@ impl HasFault for RebuildError {
             Self::Scene(error) => error.fault(),
             Self::Import(error) => error.fault(),
             Self::Shard(error) => error.fault(),
+            Self::Release(error) => error.fault(),
             _ => Fault::Input,
         }
     }

@@ -7,12 +7,13 @@ use crate::config::{Config, GridConfig, RsrpConfig, ShardConfig};
 use crate::dataset::{ShardJob, VerifyFailure, build_dataset};
 use crate::grid::Area;
 use crate::manifest::{
-    DatasetConfig, DatasetManifest, ImportInputs, Input, RsrpManifest, ScenesManifest, Software,
-    TilesManifest, load,
+    DatasetConfig, DatasetManifest, ImportInputs, Input, Release, RsrpManifest, ScenesManifest,
+    Software, TilesManifest, load,
 };
 use crate::progress::Progress;
 use crate::radio_map::{ImportJob, import_maps};
 use crate::rasterise::{TilesJob, build_tiles};
+use crate::release::{DateError, ReleaseJob, Version, release};
 use crate::scene::{ScenesJob, build_scenes};
 use crate::store::{BuildMode, MANIFEST, sha256_file};
 
@@ -118,8 +119,30 @@ impl<'a> Bench<'a> {
             out: &out,
             mode: BuildMode::default(),
         };
-        // What makes a dataset a release, and is recorded in its manifest, belongs here as well.
         build_dataset(job, self.progress)?;
+        manifest.release.as_ref().map_or(Ok(out.clone()), |release| self.release(release, &out))
+    }
+
+    /// What was made of a dataset to publish it.
+    fn release(&self, recorded: &Release, dataset: &Path) -> Result<PathBuf, RebuildError> {
+        let wrong = |reason: String| RebuildError::Contradiction { reason };
+        let Release { name, version, date, url, creators, .. } = recorded;
+        let version = &Version::parse(version).map_err(|error| wrong(error.to_string()))?;
+        let date = date.as_deref().map(str::parse).transpose();
+        let out = self.scratch.join("release");
+        let job = ReleaseJob {
+            dataset,
+            out: Some(&out),
+            name: Some(name),
+            version,
+            date: date.map_err(|error: DateError| wrong(error.to_string()))?,
+            url: url.as_deref(),
+            creators,
+            previous: None,
+            archive: None,
+            overwrite: false,
+        };
+        release(&job, self.progress)?;
         Ok(out)
     }
 

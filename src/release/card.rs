@@ -4,7 +4,7 @@
 //! program, and name the settings that they depend on.
 
 use super::charts::FOLDER;
-use super::rebuild::{CONFIG, INPUTS, commands};
+use super::rebuild::{AREA, CONFIG, INPUTS, commands};
 use super::scan::Scan;
 use crate::config::Split;
 use crate::dataset::{card, croissant};
@@ -40,12 +40,12 @@ pub(super) fn readme(manifest: &DatasetManifest, scan: &Scan, shown: &[(TileId, 
 }
 
 /// `NOTICE`: that of the dataset, and where the radio maps are listed.
-pub(super) fn notice(manifest: &DatasetManifest, scan: &Scan) -> String {
+pub(super) fn notice(manifest: &DatasetManifest) -> String {
     format!(
         "{}\nRadio maps of these buildings were taken from {} files; `{INPUTS}` names each with its \
          SHA-256.\n",
         card::notice(manifest),
-        scan.maps.len()
+        manifest.import.maps.len()
     )
 }
 
@@ -206,28 +206,24 @@ fn limits(manifest: &DatasetManifest) -> String {
 fn rebuilding(manifest: &DatasetManifest) -> String {
     let made = &manifest.software;
     let released = manifest.release.as_ref().map_or(made, |release| &release.software);
+    let area = if manifest.area.is_some() { format!(", `{AREA}`") } else { String::new() };
     let versions = if made == released {
         format!("{} {}", made.name, made.version)
     } else {
         format!("{} {} (the last command with {})", made.name, made.version, released.version)
     };
-    let preset = match manifest.config.rsrp.preset {
-        Some(_) => " Maps of a preset may also need the `--scenes` that they were imported with.",
-        None => "",
-    };
+    let scenes = manifest.import.scenes_manifest_sha256.as_ref().map_or_else(String::new, |sha256| {
+        format!(
+            " The import also needs, by `--scenes`, the scenes whose manifest has SHA-256 {sha256}."
+        )
+    });
     let dated = manifest.release.as_ref().is_some_and(|release| release.date.is_some());
     let epoch = if dated { "" } else { " `SOURCE_DATE_EPOCH` must be unset." };
-    let dropped = match manifest.dropped.overlapping_another_split.len() {
-        0 => String::new(),
-        records => format!(
-            " The maps of the {records} records that were left out for the splits are not in \
-             `{INPUTS}`: without them the shards are the same, the manifest is not."
-        ),
-    };
     format!(
-        "With {versions}, in a directory that holds `{CONFIG}`, the extracts and, in `maps/`, the \
+        "With {versions}, in a directory that holds `{CONFIG}`{area}, the extracts and, in `maps/`, the \
          radio maps:\n\n```sh\n{}```\n\n\
-         `{INPUTS}` names every extract and every map by its SHA-256.{preset}{dropped}{epoch}\n",
+         `{INPUTS}` names every extract and every map by its SHA-256.{scenes}{epoch} \
+         `holescout verify --rebuild` does the same elsewhere and compares every file.\n",
         commands(manifest)
     )
 }

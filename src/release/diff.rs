@@ -221,8 +221,9 @@ fn inputs(manifest: &DatasetManifest) -> BTreeMap<String, Value> {
 }
 
 fn facts(manifest: &DatasetManifest) -> BTreeMap<String, Value> {
-    let DatasetManifest { schema, software, licence, attribution, epsg, cells, cell_m, .. } =
-        manifest;
+    let DatasetManifest {
+        schema, software, licence, attribution, epsg, cells, cell_m, area, ..
+    } = manifest;
     let facts = [
         ("schema", json!(schema)),
         ("software", json!(format!("{} {}", software.name, software.version))),
@@ -231,8 +232,10 @@ fn facts(manifest: &DatasetManifest) -> BTreeMap<String, Value> {
         ("epsg", json!(epsg)),
         ("cells", json!(cells)),
         ("cell_m", json!(cell_m)),
+        ("area", json!(area)),
     ];
-    facts.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+    let there = facts.into_iter().filter(|(_, value)| !value.is_null());
+    there.map(|(key, value)| (key.to_owned(), value)).collect()
 }
 
 /// Where every record is: its split, the digest of its shard, its frame.

@@ -1,14 +1,18 @@
 //! What builds a release again: its configuration, its inputs by checksum, the commands.
 
 use std::fmt::Write;
+use std::path::Path;
 
-use super::scan::Scan;
-use crate::manifest::DatasetManifest;
+use serde_json::json;
+
+use crate::manifest::{DatasetManifest, MapFile, to_json};
 
 /// The configuration of a dataset.
 pub(super) const CONFIG: &str = "config.toml";
 /// SHA-256 of extracts and radio maps.
 pub(super) const INPUTS: &str = "inputs.sha256";
+/// The polygons that tiles were asked for by.
+pub(super) const AREA: &str = "area.geojson";
 /// Folder of the radio maps in [`INPUTS`].
 const MAPS: &str = "maps";
 
@@ -17,14 +21,27 @@ pub(super) fn config_toml(manifest: &DatasetManifest) -> String {
     toml::to_string_pretty(&manifest.config).expect("a configuration came from TOML's types")
 }
 
-/// `inputs.sha256`, in the format of `sha256sum`.
-pub(super) fn inputs(manifest: &DatasetManifest, scan: &Scan) -> String {
+/// `area.geojson`, as `rasterise --area` accepts it, if tiles were asked for by an area.
+pub(super) fn area_geojson(manifest: &DatasetManifest) -> Option<Vec<u8>> {
+    let coordinates = manifest.area.as_ref()?;
+    Some(to_json(&json!({ "type": "MultiPolygon", "coordinates": coordinates })))
+}
+
+/// `inputs.sha256`, in the format of `sha256sum`: the extracts and all maps, those that were rejected
+/// too.
+pub(super) fn inputs(manifest: &DatasetManifest) -> String {
     let mut text = String::new();
     for input in &manifest.inputs {
         push(&mut text, &input.digest.sha256, &input.file);
     }
-    for (file, sha256) in &scan.maps {
-        push(&mut text, sha256, &format!("{MAPS}/{file}"));
+    for MapFile { file, digest, sidecar } in &manifest.import.maps {
+        let of_sidecar = Path::new(file).with_extension("json");
+        let files = [(Path::new(file), digest), (&of_sidecar, sidecar)];
+        for (file, digest) in files {
+            if let Some(digest) = digest {
+                push(&mut text, &digest.sha256, &format!("{MAPS}/{}", file.display()));
+            }
+        }
     }
     text
 }
@@ -53,9 +70,10 @@ pub(super) fn commands(manifest: &DatasetManifest) -> String {
         this.creators.iter().for_each(|creator| flag("creator", creator));
     }
     let extracts = extracts.join(" ");
+    let area = if manifest.area.is_some() { format!(" --area {AREA}") } else { String::new() };
     format!(
         "sha256sum -c {INPUTS}\n\
-         holescout --config {CONFIG} rasterise --osm {extracts} --out tiles\n\
+         holescout --config {CONFIG} rasterise --osm {extracts}{area} --out tiles\n\
          holescout --config {CONFIG} import-rsrp --maps {MAPS} --tiles tiles --out rsrp\n\
          holescout --config {CONFIG} shard --tiles tiles --rsrp rsrp --out dataset\n\
          {release}\n"

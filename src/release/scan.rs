@@ -1,6 +1,6 @@
-//! One pass over all records: what the card, the table and the list of inputs tell of them.
+//! One pass over all records: what the card and the table tell of them.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
@@ -16,8 +16,6 @@ pub(super) struct Scan {
     pub(super) table: Vec<u8>,
     /// Coverage holes as a share of outdoor cells, of every record.
     pub(super) hole_shares: BTreeMap<Split, Vec<f64>>,
-    /// SHA-256 of the radio maps by file name.
-    pub(super) maps: BTreeSet<(String, String)>,
     /// How the maps were computed, in words, with the number of records.
     pub(super) radio: BTreeMap<String, u64>,
     /// Transmit powers per resource element, in dBm: lowest, highest.
@@ -28,7 +26,6 @@ struct Scanned {
     row: [String; crate::dataset::COLUMNS.len()],
     split: Split,
     hole_share: f64,
-    map: (String, String),
     radio: String,
     power_dbm: f64,
 }
@@ -47,7 +44,6 @@ pub(super) fn scan(dataset: &Dataset, progress: &dyn Progress) -> Result<Scan, R
     let mut scan = Scan { power_dbm: [f64::INFINITY, f64::NEG_INFINITY], ..Scan::default() };
     for one in &scanned {
         scan.hole_shares.entry(one.split).or_default().push(one.hole_share);
-        scan.maps.insert(one.map.clone());
         *scan.radio.entry(one.radio.clone()).or_default() += 1;
         let [lowest, highest] = scan.power_dbm;
         scan.power_dbm = [lowest.min(one.power_dbm), highest.max(one.power_dbm)];
@@ -59,12 +55,10 @@ pub(super) fn scan(dataset: &Dataset, progress: &dyn Progress) -> Result<Scan, R
 fn scan_one(dataset: &Dataset, entry: &IndexEntry) -> Result<Scanned, ReadError> {
     let (record, grids) = dataset.record_with_grids(entry.id)?;
     let statistics = statistics_of(&record, &grids);
-    let map = &record.provenance.radio_map;
     Ok(Scanned {
         row: table_row(entry, &record, &grids, &statistics),
         split: record.split,
         hole_share: hole_share(&statistics),
-        map: (map.file.clone(), map.digest.sha256.clone()),
         radio: in_words(&record.radio),
         power_dbm: record.base_station.power_per_re_dbm.0,
     })

@@ -20,7 +20,7 @@ use crate::store::{Digest, MANIFEST, OutputDir, OutputError, SUMS, sha256_bytes}
 
 /// Zenodo takes no more files in a record.
 const MOST_FILES: usize = 100;
-/// Files besides shards, pictures and the list of checksums.
+/// Files besides shards, pictures, an area and the list of checksums.
 const FILES: [&str; 8] = [
     MANIFEST,
     croissant::FILE,
@@ -210,8 +210,11 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
     output.write(croissant::FILE, &description)?;
     output.write(SCHEMA, &json_schema::<Record>())?;
     output.write(rebuild::CONFIG, rebuild::config_toml(&manifest).as_bytes())?;
-    output.write(rebuild::INPUTS, rebuild::inputs(&manifest, &scan).as_bytes())?;
-    output.write(NOTICE, card::notice(&manifest, &scan).as_bytes())?;
+    output.write(rebuild::INPUTS, rebuild::inputs(&manifest).as_bytes())?;
+    if let Some(area) = rebuild::area_geojson(&manifest) {
+        output.write(rebuild::AREA, &area)?;
+    }
+    output.write(NOTICE, card::notice(&manifest).as_bytes())?;
     output.write(README, card::readme(&manifest, &scan, &shown).as_bytes())?;
     output.complete(&bytes)?;
 
@@ -266,11 +269,12 @@ fn check_shards(manifest: &DatasetManifest, root: &Path) -> Result<(), ReleaseEr
 
 fn count_files(manifest: &DatasetManifest, pictures: usize) -> Result<usize, ReleaseError> {
     let shards = manifest.shards.len();
-    let files = shards + pictures + OTHER_FILES;
+    let others = OTHER_FILES + usize::from(manifest.area.is_some());
+    let files = shards + pictures + others;
     if files <= MOST_FILES {
         return Ok(files);
     }
-    let room = (MOST_FILES - OTHER_FILES - charts::RECORDS) as u64;
+    let room = (MOST_FILES - others - charts::RECORDS) as u64;
     let records: Vec<u64> = manifest.statistics.values().map(|split| split.records).collect();
     let enough = enough(&records, manifest.config.shard.records_per_shard, room);
     Err(ReleaseError::TooManyFiles { shards, files, enough })
