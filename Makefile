@@ -193,11 +193,11 @@ fmt-check: | tools
 
 .PHONY: lint
 lint: | tools
-	cargo clippy --locked --all-targets -- -D warnings
+	cargo clippy --locked --all-targets --features remote -- -D warnings
 
 .PHONY: doc
 doc: | tools
-	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps
+	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --features remote
 
 .PHONY: schemas
 schemas: $(BIN)
@@ -208,7 +208,7 @@ schema-check: $(BIN)
 	$(BIN) schemas --out schemas --check
 
 .PHONY: test
-test: test-rust test-torch test-report test-release
+test: test-rust test-torch test-report test-release test-remote
 
 .PHONY: test-rust
 test-rust: | tools
@@ -239,6 +239,13 @@ test-report: dataset $(VENV)/.installed | browser
 test-release: dataset $(VENV)/.installed
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset $(PYTHON) -m pytest -q tests/release
 
+# Datasets on servers: HTTP and S3 on loopback, through connections that fail and change bytes.
+.PHONY: test-remote
+test-remote: dataset $(VENV)/.installed | tools
+	cargo build --locked --features remote --bin holescout --example stream
+	HOLESCOUT=$(abspath target/debug/holescout) HOLESCOUT_STREAM=$(abspath target/debug/examples/stream) \
+	  HOLESCOUT_DATASET=$(abspath $(OUT))/dataset $(PYTHON) -m pytest -q tests/remote
+
 # Tracing with Sionna itself: geometry, maps, a killed run, and the way from OpenStreetMap to a dataset.
 .PHONY: test-sionna
 test-sionna: $(BIN) $(SIONNA)/.installed-tests | llvm
@@ -264,7 +271,7 @@ test-real: $(BIN) $(VENV)/.installed llvm
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python $(REAL)/sionna_scenes.py
 
-$(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch release))
+$(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch release remote))
 	$(call venv,$(VENV))
 	$(VENV)/bin/pip install -q $(addprefix -r ,$^)
 	@touch $@
@@ -332,6 +339,23 @@ bench-train: dataset $(LIBTORCH)/.installed | tools-torch
 	  HOLESCOUT_DATASET=$(abspath $(TRAINED)) TRAIN_BENCH=$(abspath $(TRAIN_BENCH)) \
 	  ENCODE_STATES=$(abspath target/release/examples/encode_states) $(PYTHON) benches/train_vs_pytorch.py
 
+# Records a second against WebDataset and MosaicML Streaming, which need other versions of NumPy than the tests do.
+LOADER_VENV := .venv-loader
+LOADER_BENCH := target/release/loader_bench
+.PHONY: bench-loader
+bench-loader: dataset $(LIBTORCH)/.installed $(LOADER_VENV)/.installed
+	cargo bench --locked --bench loader --no-run --message-format=json \
+	  | sed -n 's/.*"name":"loader".*"executable":"\([^"]*\)".*/\1/p' | xargs -I{} cp {} $(LOADER_BENCH)
+	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
+	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
+	  HOLESCOUT_DATASET=$(abspath $(TRAINED)) LOADER_BENCH=$(abspath $(LOADER_BENCH)) \
+	  $(LOADER_VENV)/bin/python benches/loader_vs_peers.py $(LOADER_FLAGS)
+
+$(LOADER_VENV)/.installed: benches/loader-requirements.txt
+	$(call venv,$(LOADER_VENV))
+	$(LOADER_VENV)/bin/pip install -q --no-deps -r $<
+	@touch $@
+
 .PHONY: clean
 clean:
-	rm -rf build target $(VENV) $(SIONNA) $(LIBTORCH)
+	rm -rf build target $(VENV) $(SIONNA) $(LOADER_VENV) $(LIBTORCH)
