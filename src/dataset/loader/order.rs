@@ -247,6 +247,82 @@ mod tests {
         assert_eq!(orders.len(), 400);
     }
 
+    fn blocks(seed: u64, shards: &[u32], block: usize) -> Order {
+        let shards: Vec<_> = shards.iter().filter_map(|size| NonZero::new(*size)).collect();
+        let block = NonZero::new(block).expect("shards");
+        Order::of_blocks(seed, &shards, block).expect("records")
+    }
+
+    proptest! {
+        #[test]
+        fn blocks_are_permutations_of_their_own_shards(
+            shards in proptest::collection::vec(1..=60_u32, 1..20),
+            block in 1..=25_usize,
+            seed: u64,
+            of in 0..1000_u64,
+        ) {
+            let order = blocks(seed, &shards, block);
+            let records = order.records().get();
+            let epoch = order.epoch(of);
+            let numbers: Vec<u32> = (0..records).map(|place| epoch.at(place)).collect();
+            prop_assert!(is_permutation(numbers.clone()));
+            let first = of * u64::from(records);
+            for (place, &number) in (0..).zip(&numbers) {
+                prop_assert_eq!(order.at(first + place), (of, number));
+            }
+            let of_shard = |number| order.starts.partition_point(|&start| start <= number) - 1;
+            let mut ends: Vec<usize> = epoch.blocks(0).map(|(begin, _)| begin as usize).collect();
+            ends.push(numbers.len());
+            for ends in ends.windows(2) {
+                let mut shards: Vec<usize> =
+                    numbers[ends[0]..ends[1]].iter().map(|&number| of_shard(number)).collect();
+                shards.sort_unstable();
+                shards.dedup();
+                prop_assert!(block >= order.starts.len() || shards.len() <= block);
+            }
+        }
+    }
+
+    /// The distance from uniform is what is found among the records of many epochs.
+    #[test]
+    fn the_distance_of_blocks_from_a_full_shuffle_is_measured() {
+        let shards = [30, 50, 20, 40, 60, 10, 30, 60];
+        let records: u32 = shards.iter().sum();
+        let mut last = 1.0;
+        for block in [1, 2, 4, 8] {
+            let order = blocks(5, &shards, block);
+            let of_shard = |number| order.starts.partition_point(|&start| start <= number) - 1;
+            let epochs = 400;
+            let (mut expected, mut found) = (0.0, 0.0);
+            for of in 0..epochs {
+                let epoch = order.epoch(of);
+                expected += order.distance(of) / epochs as f64;
+                for (begin, shards) in epoch.blocks(0) {
+                    // Shares of the shards among the block's records against those among all.
+                    let size: u32 = shards.iter().map(|(_, size)| size).sum();
+                    let mut counts = [0.0; 8];
+                    (begin..begin + size)
+                        .for_each(|place| counts[of_shard(epoch.at(place))] += 1.0);
+                    let off =
+                        counts.iter().zip(shards_of(&order)).map(|(&count, all): (&f64, f64)| {
+                            (count / f64::from(size) - all / f64::from(records)).abs() / 2.0
+                        });
+                    found +=
+                        off.sum::<f64>() * f64::from(size) / f64::from(records) / epochs as f64;
+                }
+            }
+            assert!((expected - found).abs() < 1e-9, "{block}: {expected}, found {found}");
+            assert!(expected < last, "larger blocks are nearer");
+            last = expected;
+        }
+        assert!(last < 1e-12, "all shards together are a full shuffle: {last}");
+    }
+
+    fn shards_of(order: &Order) -> Vec<f64> {
+        let ends = order.starts[1..].iter().copied().chain([order.records.get()]);
+        order.starts.iter().zip(ends).map(|(start, end)| f64::from(end - start)).collect()
+    }
+
     /// The sum over all outcomes of (found - expected)² / expected.
     fn chi_square(counts: &[u32], expected: f64) -> f64 {
         counts.iter().map(|count| (f64::from(*count) - expected).powi(2) / expected).sum()
