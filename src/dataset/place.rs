@@ -40,9 +40,13 @@ impl Place {
         Err(ReadError::NoRemote { url: url.to_owned() })
     }
 
-    /// Whether a file may have to be waited for.
-    pub(super) fn is_far(&self) -> bool {
-        !matches!(self, Self::Directory(_))
+    /// Bytes of files that may be at hand at a time, where they have to be downloaded.
+    pub(super) fn cache_bytes(&self) -> Option<u64> {
+        match self {
+            Self::Directory(_) => None,
+            #[cfg(feature = "remote")]
+            Self::Server(server) => Some(server.cache_bytes()),
+        }
     }
 
     /// A file that says what the others must be.

@@ -213,9 +213,9 @@ impl Dataset {
         ShardReader::new(path, self.place.open(file, digest)?)
     }
 
-    /// Whether shards have to be downloaded, and are worth asking for ahead of their use.
-    pub(super) fn is_far(&self) -> bool {
-        self.place.is_far()
+    /// Bytes of shards that may be at hand at a time, if they have to be downloaded.
+    pub(super) fn cache_bytes(&self) -> Option<u64> {
+        self.place.cache_bytes()
     }
 
     /// Reads a record that an open shard has, and makes sure that it is the one that the index

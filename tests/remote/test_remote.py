@@ -287,19 +287,21 @@ def test_a_damaged_cache_is_mended(wire, tmp_path, expected):
     assert_sound(tmp_path)
 
 
-def test_the_cache_keeps_its_size(dataset, tmp_path, tmp_path_factory):
-    """Many shards through a cache that holds two of them; the dataset is copied and grown with
-    files of somebody else, which stay."""
+def test_the_cache_keeps_its_size(site, dataset, tmp_path):
+    """Seven shards one after the other through a cache that somebody else's files do not count in,
+    and that is too small for all of them after old downloads have filled it."""
     foreign = tmp_path / "notes.txt"
     foreign.write_text("mine")
-    with http_server(dataset.parent) as port:
-        largest = max(digest["bytes"] for digest in digests(dataset).values())
-        assert largest < 1_000_000
-        expected = run(STREAM, dataset, "train", "--take", 24, "--block", 1).stdout
-        flags = ["--take", 24, "--block", 1, "--cache-mb", 1]
-        assert stream(address(port), tmp_path, *flags).stdout == expected
-        total = sum(path.stat().st_size for path in tmp_path.iterdir())
-        assert total <= 1_000_000 + len("mine") and foreign.exists()
+    old = [tmp_path / hashlib.sha256(bytes([number])).hexdigest() for number in range(3)]
+    for path in old:
+        path.write_bytes(bytes(300_000))
+        os.utime(path, (1, 1))
+    expected = run(STREAM, dataset, "train", "--take", 24, "--block", 1).stdout
+    flags = ["--take", 24, "--block", 1, "--cache-mb", 1]
+    assert stream(address(site), tmp_path, *flags).stdout == expected
+    total = sum(path.stat().st_size for path in tmp_path.iterdir())
+    assert total <= 1_000_000 + len("mine") and foreign.exists()
+    assert not all(path.exists() for path in old), "old downloads made room"
 
 
 def test_several_processes_share_a_cache(wire, tmp_path, expected):

@@ -65,6 +65,22 @@ pub enum LoaderError {
         /// The processes.
         world: u32,
     },
+    /// Shards that are shuffled together do not fit into the cache together, and would be downloaded
+    /// again and again.
+    #[error(
+        "{shards} shards of the {split} split are shuffled together and have {bytes} bytes, more than \
+         the {limit} of remote.cache_mb; raise that, or shuffle fewer shards at a time"
+    )]
+    CacheTooSmall {
+        /// The split.
+        split: Split,
+        /// Shards that are shuffled together.
+        shards: usize,
+        /// What the largest of them have together.
+        bytes: u64,
+        /// What the cache holds.
+        limit: u64,
+    },
     /// The operating system gave no thread.
     #[error("cannot start a thread that decodes records: {0}; try fewer threads")]
     Thread(std::io::Error),
@@ -78,8 +94,8 @@ fn names(splits: &[Split]) -> String {
 impl HasFault for LoaderError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Empty { .. } | Self::TooManyProcesses { .. } => Fault::Input,
             Self::Thread(_) => Fault::Running,
+            _ => Fault::Input,
         }
     }
 }
@@ -134,6 +150,14 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         decode: impl Fn(Record, Grids) -> T + Send + Sync + 'static,
     ) -> Result<Self, LoaderError> {
         let plan = Arc::new(Plan::new(dataset, split, &options)?);
+        if let Some(limit) = dataset.cache_bytes() {
+            let shards = dataset.shards_of(split);
+            let sizes = shards.iter().map(|(shard, _)| shard.digest.bytes);
+            let (shards, bytes) = together(sizes, options.block);
+            if bytes > limit {
+                return Err(LoaderError::CacheTooSmall { split, shards, bytes, limit });
+            }
+        }
         let cells = dataset.manifest().cells as usize;
         let record = cells.saturating_mul(cells).saturating_mul(2 * CELL_BYTES) + OTHER_BYTES;
         let fitting = options.memory_bytes / record;
@@ -170,7 +194,7 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
                 Builder::new().name("loader".to_owned()).spawn(move || worker.work(&queue));
             loader.workers.push(thread.map_err(LoaderError::Thread)?);
         }
-        if dataset.is_far() {
+        if dataset.cache_bytes().is_some() {
             let (dataset, plan) = (Arc::clone(dataset), Arc::clone(&loader.plan));
             let queue = Arc::clone(&loader.queue);
             let download = move || ahead::download(&dataset, split, &plan, cursor, &queue);
@@ -280,8 +304,30 @@ impl<T: Clone + Send + Sync + 'static> Iterator for Loader<T> {
     }
 }
 
+/// How many shards of a split may be shuffled together, and the bytes of the largest so many.
+fn together(sizes: impl Iterator<Item = u64>, block: Option<NonZero<usize>>) -> (usize, u64) {
+    let mut sizes: Vec<u64> = sizes.collect();
+    sizes.sort_unstable_by(|a, b| b.cmp(a));
+    let shards = block.map_or(sizes.len(), |block| block.get().min(sizes.len()));
+    (shards, sizes[..shards].iter().fold(0, |sum, &size| sum.saturating_add(size)))
+}
+
 impl<T> Drop for Loader<T> {
     fn drop(&mut self) {
         self.dismiss();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_shards_of_a_block_count() {
+        let sizes = || [5, 9, u64::MAX, 7].into_iter();
+        assert_eq!(together(sizes().take(2), None), (2, 14));
+        assert_eq!(together(sizes(), NonZero::new(1)), (1, u64::MAX));
+        assert_eq!(together(sizes(), NonZero::new(9)), (4, u64::MAX));
+        assert_eq!(together([5, 9, 7].into_iter(), NonZero::new(2)), (2, 16));
     }
 }

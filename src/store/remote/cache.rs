@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::SystemTime;
 
+use super::is_sha256;
 use crate::error::FileError;
 use crate::store::atomic::is_at;
 use crate::store::{Digest, sha256_file};
@@ -14,8 +15,8 @@ use crate::store::{Digest, sha256_file};
 /// How a download is called that is not whole yet.
 const PART: &str = "part";
 
-/// A directory of downloads, together at most so large. The ones used longest ago make room for
-/// others; who has one open keeps it.
+/// A directory of downloads, together at most so large but for those under way. The ones used
+/// longest ago make room for others; who has one open keeps it.
 #[derive(Debug)]
 pub(super) struct Cache {
     directory: PathBuf,
@@ -76,16 +77,14 @@ impl Cache {
 
     /// Removes what was used longest ago until a download fits.
     pub(super) fn make_room(&self, digest: &Digest) -> Result<(), FileError> {
-        let own = self.path(digest).with_extension(PART);
         let directory = &self.directory;
         let entries = std::fs::read_dir(directory).map_err(FileError::new("list", directory))?;
         let mut others: Vec<(SystemTime, u64, PathBuf)> = entries
             .flatten()
             .filter_map(|entry| {
                 let (path, about) = (entry.path(), entry.metadata().ok()?);
-                let name = path.file_stem()?.to_str()?;
-                let is_ours = name.len() == digest.sha256.len() && path != own;
-                is_ours.then_some((about.modified().ok()?, about.len(), path))
+                let is_other = download_of(&path).is_some_and(|sha256| sha256 != digest.sha256);
+                is_other.then_some((about.modified().ok()?, about.len(), path))
             })
             .collect();
         others.sort_unstable();
@@ -109,7 +108,10 @@ impl Cache {
         part.file.sync_all().map_err(FileError::new("sync", &part.path))?;
         std::fs::rename(&part.path, &path).map_err(FileError::new("write", &path))?;
         self.checked().insert(digest.sha256.clone());
-        File::open(&path).map_err(FileError::new("open", &path))
+        let file = File::open(&path).map_err(FileError::new("open", &path))?;
+        // Others may have come meanwhile.
+        self.make_room(digest)?;
+        Ok(file)
     }
 
     fn path(&self, digest: &Digest) -> PathBuf {
@@ -147,6 +149,13 @@ impl Part {
     }
 }
 
+/// The SHA-256 that a file of the cache is named by, whole or not; `None` for files of others.
+fn download_of(path: &Path) -> Option<&str> {
+    let is_part = |extension: &std::ffi::OsStr| extension == PART;
+    path.extension().is_none_or(is_part).then_some(())?;
+    path.file_stem()?.to_str().filter(|stem| is_sha256(stem))
+}
+
 /// Whether another process or thread downloads to this file now.
 fn is_being_written(path: &Path) -> bool {
     let is_part = path.extension().is_some_and(|extension| extension == PART);
@@ -159,5 +168,74 @@ fn remove(path: &Path) -> Result<(), FileError> {
             Err(FileError::new("remove", path)(error))
         }
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::sha256_bytes;
+
+    fn add(cache: &Cache, content: &[u8]) -> Digest {
+        let digest = sha256_bytes(content);
+        let mut part = cache.lock_part(&digest).expect("locked");
+        cache.make_room(&digest).expect("room");
+        part.append(content).expect("written");
+        cache.put(&part, &digest).expect("taken over");
+        digest
+    }
+
+    fn is_there(cache: &Cache, digest: &Digest) -> bool {
+        cache.get(digest).expect("readable").is_some()
+    }
+
+    #[test]
+    fn what_was_used_longest_ago_makes_room_and_files_of_others_stay() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let cache = Cache::open(dir.path().to_owned(), 25).expect("opened");
+        let foreign =
+            ["notes.txt", &"a".repeat(64).replace('a', "x"), &format!("{}.bak", "a".repeat(64))];
+        for name in foreign {
+            std::fs::write(dir.path().join(name), [0; 100]).expect("written");
+        }
+        let [one, two] = [add(&cache, b"0123456789"), add(&cache, b"abcdefghij")];
+        let used = |digest: &Digest, seconds: u64| {
+            let file = File::open(cache.path(digest)).expect("there");
+            let time = SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(seconds);
+            file.set_modified(time).expect("set");
+        };
+        used(&one, 200);
+        used(&two, 100);
+        let three = add(&cache, b"ABCDEFGHIJ");
+        assert!(is_there(&cache, &one) && is_there(&cache, &three) && !is_there(&cache, &two));
+        assert!(foreign.iter().all(|name| dir.path().join(name).exists()));
+    }
+
+    #[test]
+    fn a_part_goes_on_and_one_that_is_being_written_is_left_alone() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let cache = Cache::open(dir.path().to_owned(), 12).expect("opened");
+        let digest = sha256_bytes(b"0123456789");
+        let mut part = cache.lock_part(&digest).expect("locked");
+        part.append(b"01234").expect("written");
+        add(&cache, b"abcdefghij");
+        assert!(part.path.exists(), "it is being written");
+        drop(part);
+        let mut part = cache.lock_part(&digest).expect("locked again");
+        assert_eq!(part.len().expect("known"), 5);
+        part.append(b"56789").expect("written");
+        assert_eq!(part.digest().expect("read"), digest);
+        cache.put(&part, &digest).expect("taken over");
+        assert!(is_there(&cache, &digest) && !part.path.exists());
+    }
+
+    #[test]
+    fn a_damaged_file_is_removed_unless_it_was_checked_by_this_process() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let open = || Cache::open(dir.path().to_owned(), 100).expect("opened");
+        let digest = add(&open(), b"0123456789");
+        std::fs::write(open().path(&digest), b"012345678X").expect("damaged");
+        assert!(!is_there(&open(), &digest));
+        assert!(!open().path(&digest).exists());
     }
 }

@@ -170,6 +170,12 @@ impl Remote {
         Ok(Self { url, store, base, attempts: config.attempts, cache, runtime })
     }
 
+    /// The size of the cache.
+    #[must_use]
+    pub fn cache_bytes(&self) -> u64 {
+        self.cache.limit()
+    }
+
     /// A file that no manifest names, whole.
     ///
     /// # Errors
