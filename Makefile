@@ -242,6 +242,7 @@ test-release: dataset $(VENV)/.installed
 # Datasets on servers: HTTP and S3 on loopback, through connections that fail and change bytes.
 .PHONY: test-remote
 test-remote: dataset $(VENV)/.installed | tools
+	cargo test --locked --features remote --lib store::remote
 	cargo build --locked --features remote --bin holescout --example stream
 	HOLESCOUT=$(abspath target/debug/holescout) HOLESCOUT_STREAM=$(abspath target/debug/examples/stream) \
 	  HOLESCOUT_DATASET=$(abspath $(OUT))/dataset $(PYTHON) -m pytest -q tests/remote

@@ -1,5 +1,7 @@
 //! `[train]`: how the Q-network is trained.
 
+use std::num::NonZero;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -108,6 +110,9 @@ pub struct TrainConfig {
     pub map_memory_mb: u32,
     /// Steps of all episodes after which one map is replaced then.
     pub refresh_every: u32,
+    /// Shards that are shuffled together then; absent for all of the split.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub block: Option<NonZero<usize>>,
     /// What becomes of maps that cannot be read.
     pub on_damage: OnDamage,
     /// Updates after which a checkpoint is written.
@@ -154,6 +159,7 @@ impl Default for TrainConfig {
             precision: Precision::Auto,
             map_memory_mb: 2048,
             refresh_every: 8,
+            block: None,
             on_damage: OnDamage::Error,
             checkpoint_every: 1000,
             evaluate_every: 1000,

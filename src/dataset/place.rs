@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{Advice, fadvise};
 
 use super::read::ReadError;
+use super::shard::unreadable;
 use crate::config::RemoteConfig;
 use crate::error::FileError;
 use crate::manifest::ManifestError;
 #[cfg(feature = "remote")]
 use crate::store::Remote;
-use crate::store::{Digest, MANIFEST, SeekError};
+use crate::store::{Digest, MANIFEST};
 
 /// Where a dataset lies.
 #[derive(Debug)]
@@ -67,24 +68,25 @@ impl Place {
     }
 
     /// A file of which the manifest tells the content. One in a directory is checked as it is
-    /// read, one from a server before.
+    /// read, one from a server before, for which it is waited as long as it is wanted.
     #[cfg_attr(not(feature = "remote"), expect(unused_variables, reason = "for servers"))]
-    pub(super) fn open(&self, name: &str, digest: &Digest) -> Result<File, ReadError> {
+    pub(super) fn open(
+        &self,
+        name: &str,
+        digest: &Digest,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<File, ReadError> {
         match self {
             Self::Directory(directory) => {
                 let path = directory.join(name);
-                let file = File::open(&path).map_err(|error| {
-                    let error = FileError::new("read", &path)(error);
-                    let source = SeekError::Io(std::io::Error::other(error));
-                    ReadError::Shard { shard: path, source }
-                })?;
+                let file = File::open(&path).map_err(|error| unreadable(&path, error))?;
                 // Its records will be wanted in any order: let the disk read them in its own. It
                 // is a wish, and nothing is lost if it is not granted.
                 let _ = fadvise(&file, 0, None, Advice::WillNeed);
                 Ok(file)
             }
             #[cfg(feature = "remote")]
-            Self::Server(server) => Ok(server.fetch(name, digest)?),
+            Self::Server(server) => Ok(server.fetch(name, digest, is_wanted)?),
         }
     }
 }

@@ -1,18 +1,19 @@
 //! Reading a dataset's records, by name or one after the other.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::io::ErrorKind;
+use std::path::{Component, Path, PathBuf};
 
 use super::place::Place;
 use super::record::{Grids, Record, RecordError};
-use super::shard::ShardReader;
+use super::shard::{ShardReader, unreadable};
 use crate::config::{RemoteConfig, Split};
 use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, ShardEntry, parse};
 #[cfg(feature = "remote")]
 use crate::store::RemoteError;
-use crate::store::{Digest, MANIFEST, SUMS, SeekError, parse_sums, sha256_bytes};
+use crate::store::{Digest, FrameBuffer, MANIFEST, SUMS, SeekError, parse_sums, sha256_bytes};
 
 /// Why a record cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -68,12 +69,30 @@ impl HasFault for ReadError {
             Self::Manifest(error) => error.fault(),
             #[cfg(feature = "remote")]
             Self::Remote(error) => error.fault(),
-            Self::Shard { source: SeekError::Io(error), .. }
-                if error.kind() == std::io::ErrorKind::PermissionDenied =>
-            {
-                Fault::Running
-            }
+            Self::Shard { source: SeekError::Io(_), .. } if !self.is_damage() => Fault::Running,
             _ => Fault::Input,
+        }
+    }
+}
+
+impl ReadError {
+    /// Whether a record or its shard is damaged or missing: nothing that another try, a key or a
+    /// larger cache would mend.
+    #[must_use]
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::Shard { source: SeekError::Io(error), .. } => {
+                matches!(error.kind(), ErrorKind::NotFound | ErrorKind::UnexpectedEof)
+            }
+            Self::Shard { .. } | Self::Record { .. } => true,
+            #[cfg(feature = "remote")]
+            Self::Remote(error) => matches!(
+                error,
+                RemoteError::Damaged { .. }
+                    | RemoteError::Size { .. }
+                    | RemoteError::NotFound { .. }
+            ),
+            _ => false,
         }
     }
 }
@@ -90,22 +109,24 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Opens a dataset by its manifest, whose SHA-256 must be that in `SHA256SUMS`. With the feature
-    /// `remote` the location may also be `http(s)://` or `s3://`, see [`Dataset::open_with`].
+    /// Opens a dataset in a directory by its manifest, whose SHA-256 must be that in `SHA256SUMS`.
     ///
     /// # Errors
     /// [`ReadError::Manifest`], also for a build that was interrupted.
-    pub fn open(location: &Path) -> Result<Self, ReadError> {
-        Self::open_with(location, &RemoteConfig::default())
+    pub fn open(root: &Path) -> Result<Self, ReadError> {
+        Self::of(Place::Directory(root.to_owned()), root)
     }
 
-    /// As [`Dataset::open`], with settings for datasets on servers: their manifest is read now, a
-    /// shard when one of its records is wanted.
+    /// As [`Dataset::open`], or with the feature `remote` at `http(s)://` or `s3://`: the manifest is
+    /// read now, a shard when one of its records is wanted.
     ///
     /// # Errors
     /// As [`Dataset::open`], and if the server or the cache fails.
     pub fn open_with(location: &Path, config: &RemoteConfig) -> Result<Self, ReadError> {
-        let place = Place::of(location, config)?;
+        Self::of(Place::of(location, config)?, location)
+    }
+
+    fn of(place: Place, location: &Path) -> Result<Self, ReadError> {
         let bytes = place.read(MANIFEST)?;
         let path = location.join(MANIFEST);
         let schema = DatasetManifest::SCHEMA;
@@ -179,7 +200,8 @@ impl Dataset {
     /// [`ReadError`] names file and frame.
     pub fn record_with_grids(&self, id: TileId) -> Result<(Record, Grids), ReadError> {
         let entry = self.entry(id)?;
-        self.read(&mut self.open_shard(&entry.shard)?, entry)
+        let mut buffer = self.buffer(&entry.shard)?;
+        self.read(&mut self.open_shard(&entry.shard, &|| true)?, entry, &mut buffer)
     }
 
     /// All records of a shard, one after the other.
@@ -190,8 +212,9 @@ impl Dataset {
         &self,
         file: &str,
     ) -> Result<impl Iterator<Item = Result<Record, ReadError>> + use<>, ReadError> {
-        let mut reader = self.open_shard(file)?;
-        Ok((0..reader.len()).map(move |frame| reader.record(frame)))
+        let mut reader = self.open_shard(file, &|| true)?;
+        let mut buffer = self.buffer(file)?;
+        Ok((0..reader.len()).map(move |frame| reader.record(frame, &mut buffer)))
     }
 
     /// Where the record of a tile is.
@@ -203,14 +226,24 @@ impl Dataset {
         })
     }
 
-    /// Opens a shard by its path within the dataset.
-    pub(super) fn open_shard(&self, file: &str) -> Result<ShardReader, ReadError> {
+    /// Memory to unpack the records of a shard in.
+    pub(super) fn buffer(&self, shard: &str) -> Result<FrameBuffer, ReadError> {
+        FrameBuffer::new().map_err(|error| unreadable(&self.root.join(shard), error))
+    }
+
+    /// Opens a shard by its path within the dataset; one that has to be downloaded is given up once
+    /// it is not wanted any more.
+    pub(super) fn open_shard(
+        &self,
+        file: &str,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<ShardReader, ReadError> {
         let path = self.root.join(file);
         let Some(digest) = self.shards.get(file) else {
             let source = SeekError::Table("the manifest has no such shard".to_owned());
             return Err(ReadError::Shard { shard: path, source });
         };
-        ShardReader::new(path, self.place.open(file, digest)?)
+        ShardReader::new(path, self.place.open(file, digest, is_wanted)?)
     }
 
     /// Bytes of shards that may be at hand at a time, if they have to be downloaded.
@@ -224,9 +257,10 @@ impl Dataset {
         &self,
         shard: &mut ShardReader,
         entry: &IndexEntry,
+        buffer: &mut FrameBuffer,
     ) -> Result<(Record, Grids), ReadError> {
         let frame = entry.frame as usize;
-        let read = shard.record_with_grids(frame, self.manifest.cells as usize)?;
+        let read = shard.record_with_grids(frame, self.manifest.cells as usize, buffer)?;
         if read.0.id == entry.id {
             return Ok(read);
         }
@@ -244,6 +278,17 @@ fn check<'a>(manifest: &'a DatasetManifest, digest: &Digest, sums: &str) -> Resu
     if listed != Some(&*digest.sha256) {
         let (found, listed) = (&digest.sha256, listed.unwrap_or("nothing"));
         return Err(format!("SHA-256 is {found}, {SUMS} says {listed}: one of them was changed"));
+    }
+    let leads_out =
+        |file: &str| !Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
+    if let Some(shard) = manifest.shards.iter().find(|shard| leads_out(&shard.file)) {
+        return Err(format!("shard {:?} does not lie in the dataset", shard.file));
+    }
+    if let Some(pair) = manifest.records.windows(2).find(|pair| pair[0].id >= pair[1].id) {
+        return Err(format!(
+            "record {} does not come after {} in the index",
+            pair[1].id, pair[0].id
+        ));
     }
     let promised: u64 = manifest.shards.iter().map(|shard| u64::from(shard.records)).sum();
     let indexed = manifest.records.len() as u64;

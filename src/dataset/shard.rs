@@ -8,12 +8,11 @@ use super::record::{Grids, Record};
 use crate::error::FileError;
 use crate::store::{FrameBuffer, SeekError, SeekTable};
 
-/// A shard that is open, with memory to unpack its records in.
+/// A shard that is open.
 pub(super) struct ShardReader {
     path: PathBuf,
     file: File,
     table: SeekTable,
-    buffer: FrameBuffer,
 }
 
 impl ShardReader {
@@ -25,12 +24,11 @@ impl ShardReader {
 
     /// Reads the seek table of an open shard, which errors call `path`.
     pub(super) fn new(path: PathBuf, mut file: File) -> Result<Self, ReadError> {
-        let opened = SeekTable::read(&mut file).and_then(|table| Ok((table, FrameBuffer::new()?)));
-        let (table, buffer) = opened.map_err(|error| match error {
+        let table = SeekTable::read(&mut file).map_err(|error| match error {
             SeekError::Io(error) => unreadable(&path, error),
             source => ReadError::Shard { shard: path.clone(), source },
         })?;
-        Ok(Self { path, file, table, buffer })
+        Ok(Self { path, file, table })
     }
 
     pub(super) fn len(&self) -> usize {
@@ -42,8 +40,9 @@ impl ShardReader {
         &mut self,
         frame: usize,
         cells: usize,
+        buffer: &mut FrameBuffer,
     ) -> Result<(Record, Grids), ReadError> {
-        let record = self.record(frame)?;
+        let record = self.record(frame, buffer)?;
         let grids = record.sound_grids(cells).map_err(|source| ReadError::Record {
             shard: self.path.clone(),
             frame,
@@ -52,10 +51,14 @@ impl ShardReader {
         Ok((record, grids))
     }
 
-    pub(super) fn record(&mut self, frame: usize) -> Result<Record, ReadError> {
+    pub(super) fn record(
+        &mut self,
+        frame: usize,
+        buffer: &mut FrameBuffer,
+    ) -> Result<Record, ReadError> {
         let bytes = self
             .table
-            .frame_into(&mut self.file, frame, &mut self.buffer)
+            .frame_into(&mut self.file, frame, buffer)
             .map_err(|source| ReadError::Shard { shard: self.path.clone(), source })?;
         Record::decode(bytes).map_err(|source| ReadError::Record {
             shard: self.path.clone(),
@@ -65,8 +68,10 @@ impl ShardReader {
     }
 }
 
-fn unreadable(path: &Path, error: std::io::Error) -> ReadError {
+/// A shard that the system does not give.
+pub(super) fn unreadable(path: &Path, error: std::io::Error) -> ReadError {
+    let kind = error.kind();
     let named = FileError::new("read", path)(error);
-    let source = SeekError::Io(std::io::Error::other(named));
+    let source = SeekError::Io(std::io::Error::new(kind, named));
     ReadError::Shard { shard: path.to_owned(), source }
 }

@@ -19,7 +19,7 @@ use crate::manifest::{
 };
 use crate::progress::Progress;
 use crate::scene::check_scene;
-use crate::store::{MANIFEST, SUMS, parse_sums, sha256_file};
+use crate::store::{FrameBuffer, MANIFEST, SUMS, parse_sums, sha256_file};
 
 /// Something that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -279,9 +279,16 @@ fn read_shard(
         let reason = format!("{} frames, the manifest says {}", shard.len(), entry.records);
         read.failures.push(failure(&entry.file, reason));
     }
+    let mut buffer = match FrameBuffer::new() {
+        Ok(buffer) => buffer,
+        Err(error) => {
+            read.failures.push(failure(&entry.file, error.to_string()));
+            return read;
+        }
+    };
     for frame in 0..shard.len() {
         let checked = shard
-            .record(frame)
+            .record(frame, &mut buffer)
             .map_err(|error| (format!("frame {frame}"), error.to_string()))
             .and_then(|record| {
                 let statistics = check_record(&record, entry, manifest)

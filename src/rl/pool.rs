@@ -74,9 +74,7 @@ fn load_sound(
     let ids = dataset.ids_of(split);
     let load = |(number, &id): (usize, _)| match load(dataset, &[id], config) {
         Ok(maps) => Ok((maps.into_iter().map(|map| (number as u32, map)).collect(), None)),
-        Err(error) if error.fault() == Fault::Input => {
-            Ok((Vec::new(), Some((id, error.to_string()))))
-        }
+        Err(error) if error.is_damage() => Ok((Vec::new(), Some((id, error.to_string())))),
         Err(error) => Err(error),
     };
     let loaded = ids.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
@@ -165,6 +163,7 @@ struct Maps {
     memory_bytes: usize,
     seed: u64,
     on_damage: OnDamage,
+    block: Option<NonZero<usize>>,
 }
 
 impl MapSource {
@@ -185,8 +184,17 @@ impl MapSource {
         seed: u64,
     ) -> Self {
         let (dataset, config) = (Arc::clone(dataset), config.clone());
-        let on_damage = OnDamage::Error;
-        Self(Origin::Split(Maps { dataset, split, config, memory_bytes, seed, on_damage }))
+        let (on_damage, block) = (OnDamage::Error, None);
+        Self(Origin::Split(Maps { dataset, split, config, memory_bytes, seed, on_damage, block }))
+    }
+
+    /// The same, but with only so many shards shuffled together where maps come and go.
+    #[must_use]
+    pub fn block(mut self, shards: Option<NonZero<usize>>) -> Self {
+        if let Origin::Split(maps) = &mut self.0 {
+            maps.block = shards;
+        }
+        self
     }
 
     /// The same, but with this done about maps that cannot be read.
@@ -245,7 +253,7 @@ impl MapSource {
             Origin::Maps(maps) => return whole((0..).zip(maps).collect(), BTreeMap::new()),
             Origin::Split(maps) => maps,
         };
-        let Maps { dataset, split, config, memory_bytes, seed, on_damage } = maps;
+        let Maps { dataset, split, config, memory_bytes, seed, on_damage, block } = maps;
         let records = dataset.ids_of(split).len();
         let fitting = memory_bytes / World::bytes(dataset.manifest().cells as usize);
         if records > 0 && records <= fitting {
@@ -257,9 +265,9 @@ impl MapSource {
             return whole((0..).zip(maps).collect(), BTreeMap::new());
         }
         let memory_bytes = memory_bytes / AHEAD;
+        let of_seed = LoaderOptions::new(seed);
         let (threads, keep) = (DECODERS, false);
-        let options =
-            LoaderOptions { threads, memory_bytes, keep, on_damage, ..LoaderOptions::new(seed) };
+        let options = LoaderOptions { block, threads, memory_bytes, keep, on_damage, ..of_seed };
         let of = config.clone();
         let decode = move |record, grids| Arc::new(World::new(&record, &grids, &of));
         let loader = Loader::new(&dataset, split, options, cursor, decode)?;

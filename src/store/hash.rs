@@ -40,10 +40,15 @@ pub fn sha256_bytes(bytes: &[u8]) -> Digest {
 /// [`FileError`] when the file cannot be read.
 pub fn sha256_file(path: &Path) -> Result<Digest, FileError> {
     let mut file = File::open(path).map_err(FileError::new("open", path))?;
+    sha256_reader(&mut file).map_err(FileError::new("read", path))
+}
+
+/// The digest of what is left of a stream.
+pub(super) fn sha256_reader(reader: &mut impl Read) -> std::io::Result<Digest> {
     let (mut hasher, mut bytes) = (Sha256::new(), 0);
     let mut buffer = vec![0; 1 << 18];
     loop {
-        let read = file.read(&mut buffer).map_err(FileError::new("read", path))?;
+        let read = reader.read(&mut buffer)?;
         if read == 0 {
             return Ok(Digest { bytes, sha256: hexadecimal(&hasher.finalize()) });
         }

@@ -13,6 +13,8 @@ mod remote;
 mod seekable;
 
 pub use atomic::{write_atomic, write_atomic_with};
+#[cfg(feature = "remote")]
+use hash::sha256_reader;
 pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};

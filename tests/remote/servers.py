@@ -44,15 +44,20 @@ def http_server(directory):
 class Wire:
     """Passes connections on to a server, and does to its answers what it is told.
 
-    `cut_after` closes a connection after so many bytes of an answer; `corrupt` is told the path
-    that was asked for and the bytes of an answer's next piece, and returns what to send instead;
-    `refuse` closes so many connections at once, before they ask anything.
+    `cut_after` closes a connection after so many bytes of an answer, the first `cuts` times that it
+    applies; `corrupt` is told the path that was asked for and the bytes of an answer's next piece,
+    and returns what to send instead; `refuse` closes so many connections at once, before they ask
+    anything; without `ranges` the server is not told that a part was asked for; `invent` is told
+    path and range and returns an answer of its own, or None.
     """
 
     def __init__(self, target):
         self.target = target
         self.port = free_port()
         self.cut_after = None
+        self.cuts = 1 << 30
+        self.ranges = True
+        self.invent = None
         self.corrupt = None
         self.refuse = 0
         self.requests = []
@@ -86,6 +91,13 @@ class Wire:
                     path = lines[0].split(" ")[1]
                     headers = dict(line.lower().split(": ", 1) for line in lines[1:] if ": " in line)
                     self.requests.append((path, headers.get("range")))
+                    if self.invent and (pieces := self.invent(path, headers.get("range"))):
+                        for piece in pieces:
+                            client.sendall(piece)
+                        return
+                    if not self.ranges:
+                        lines = [line for line in lines if not line.lower().startswith("range:")]
+                        request = "\r\n".join(lines).encode("latin-1")
                     server.sendall(request)
                     if not self.answer(path, client, server):
                         return
@@ -113,7 +125,8 @@ class Wire:
                 return False
             if self.corrupt:
                 piece = self.corrupt(path, passed, piece)
-            if self.cut_after is not None and passed + len(piece) > self.cut_after:
+            if self.cut_after is not None and self.cuts and passed + len(piece) > self.cut_after:
+                self.cuts -= 1
                 client.sendall(piece[: self.cut_after - passed])
                 self.sent += self.cut_after - passed
                 return False

@@ -147,6 +147,52 @@ def test_a_dropped_connection_goes_on_where_it_ended(wire, tmp_path, expected, d
     assert_sound(tmp_path)
 
 
+def test_a_server_without_ranges_is_asked_for_all_of_it(wire, tmp_path, expected):
+    wire.ranges = False
+    wire.cut_after, wire.cuts = 30_000, 2
+    assert stream(address(wire.port), tmp_path, "--take", 24).stdout == expected
+    assert_sound(tmp_path)
+
+
+def test_a_server_without_ranges_that_always_cuts_is_given_up(wire, tmp_path):
+    wire.ranges = False
+    wire.cut_after = 30_000
+    ended = stream(address(wire.port), tmp_path, "--attempts", 4, check=False)
+    assert ended.returncode != 0 and "failed 4 times" in ended.stderr
+
+
+def test_s3_without_ranges_is_asked_for_all_of_it(bucket, tmp_path, expected):
+    url, env, _ = bucket
+    wire = Wire(int(env["AWS_ENDPOINT_URL"].rsplit(":", 1)[1]))
+    wire.ranges = False
+    wire.cut_after, wire.cuts = 30_000, 2
+    env = {**env, "AWS_ENDPOINT_URL": f"http://127.0.0.1:{wire.port}"}
+    assert stream(url, tmp_path, "--take", 24, env=env).stdout == expected
+    assert wire.cuts == 0
+    wire.close()
+
+
+@pytest.mark.parametrize("sent", [0, 10_000_000])
+def test_an_answer_that_is_too_short_or_too_long_is_given_up(wire, tmp_path, dataset, sent):
+    """A server that announces the rest of a shard and sends something else."""
+    sizes = {f"/dataset/{file}": digest["bytes"] for file, digest in digests(dataset).items()}
+    wire.cut_after = 30_000
+
+    def invent(path, asked):
+        if not asked:
+            return None
+        begin, size = int(asked.split("=")[1].rstrip("-")), sizes[path]
+        head = (f"HTTP/1.1 206 Partial Content\r\nContent-Range: bytes {begin}-{size - 1}/{size}\r\n"
+                f"Content-Length: {sent}\r\nConnection: close\r\n\r\n")
+        return [head.encode(), *([bytes(100_000)] * (sent // 100_000))]
+
+    wire.invent = invent
+    ended = stream(address(wire.port), tmp_path, "--attempts", 3, check=False)
+    assert ended.returncode != 0 and "failed 3 times" in ended.stderr
+    assert any(asked for _, asked in wire.requests)
+    assert all(path.stat().st_size < 200_000 for path in tmp_path.iterdir())
+
+
 def test_refused_connections_are_tried_again(wire, tmp_path, expected):
     wire.refuse = 5
     assert stream(address(wire.port), tmp_path, "--take", 24).stdout == expected
@@ -214,6 +260,7 @@ def test_a_shard_that_stays_corrupt_is_named_and_kept_out_of_the_cache(
     # In quarantine its records are left out, and told.
     ended = stream(address(wire.port), tmp_path, "--take", 18, "--quarantine")
     lines = expected.splitlines()
+    assert wire.paths.count(f"/dataset/{shard}") == 4, "twice by each run, whatever asks for it"
     told = [line for line in ended.stderr.splitlines() if line.startswith("left out")]
     assert len(told) == 2 and all(promised in line for line in told)
     left_out = {line.split()[2].rstrip(":") for line in told}
@@ -271,7 +318,8 @@ def test_a_killed_download_goes_on_in_another_process(wire, tmp_path, expected, 
 
 def test_a_part_of_something_else_is_replaced(wire, tmp_path, expected, dataset):
     for digest in digests(dataset).values():
-        (tmp_path / f"{digest['sha256']}.part").write_bytes(os.urandom(digest["bytes"] // 2))
+        part = tmp_path / f"{digest['sha256']}.{digest['bytes']}.part"
+        part.write_bytes(os.urandom(digest["bytes"] // 2))
     assert stream(address(wire.port), tmp_path, "--take", 24).stdout == expected
 
 
@@ -319,6 +367,19 @@ def test_s3_refusals_are_named(bucket, tmp_path):
     url, env, _ = bucket
     ended = run(HOLESCOUT, "inspect", "s3://nowhere/v1", "--cache", tmp_path, env=env, check=False)
     assert ended.returncode == 3 and "s3://nowhere/v1/manifest.json" in ended.stderr
+
+
+def test_s3_keys_that_do_not_fit_are_no_damage(bucket, tmp_path, dataset):
+    """A key that expires while records are read must not pass for damage in quarantine."""
+    url, env, _ = bucket
+    wire = Wire(int(env["AWS_ENDPOINT_URL"].rsplit(":", 1)[1]))
+    body = b"<Error><Code>ExpiredToken</Code></Error>"
+    head = f"HTTP/1.1 403 Forbidden\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+    wire.invent = lambda path, _: [head.encode() + body] if "train/" in path else None
+    env = {**env, "AWS_ENDPOINT_URL": f"http://127.0.0.1:{wire.port}"}
+    ended = stream(url, tmp_path, "--quarantine", env=env, check=False)
+    assert ended.returncode != 0 and "refused" in ended.stderr and "AWS_ACCESS_KEY_ID" in ended.stderr
+    wire.close()
 
 
 def test_s3_corruption_is_found(bucket, tmp_path, dataset):

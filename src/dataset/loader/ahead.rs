@@ -26,20 +26,20 @@ pub(super) fn download<R>(
         })
         .collect();
     let (mut number, mut place) = plan.order.split(first);
-    let epochs = u64::from(plan.order.records().get());
+    let records = u64::from(plan.order.records().get());
     loop {
         let epoch = plan.order.epoch(number);
-        for (begins, records) in epoch.blocks(place) {
+        for (begins, stretches) in epoch.blocks(place) {
             let inside = |begin: u32| {
-                records.iter().any(|&(from, size)| begin >= from && begin - from < size)
+                stretches.iter().any(|&(from, size)| begin >= from && begin - from < size)
             };
             for (_, file) in shards.iter().filter(|(begin, _)| inside(*begin)) {
-                let _ = dataset.open_shard(file);
+                let _ = dataset.open_shard(file, &|| !queue.is_stopped());
                 if queue.is_stopped() {
                     return;
                 }
             }
-            let cursor = number.wrapping_mul(epochs).wrapping_add(begins.into());
+            let cursor = number.wrapping_mul(records).wrapping_add(begins.into());
             if !queue.wait_for(plan.share.items(first, cursor)) {
                 return;
             }

@@ -36,6 +36,7 @@ use crate::grid::TileId;
 const OPEN_SHARDS: usize = 256;
 /// Bytes of a cell in [`Grids`]: two float32 and one uint8.
 const CELL_BYTES: usize = 4 + 4 + 1;
+const TWO: NonZero<usize> = NonZero::new(2).expect("not zero");
 /// Bytes of a record besides its arrays, generously.
 const OTHER_BYTES: usize = 8 << 10;
 
@@ -65,16 +66,16 @@ pub enum LoaderError {
         /// The processes.
         world: u32,
     },
-    /// Shards that are shuffled together do not fit into the cache together, and would be downloaded
-    /// again and again.
+    /// Shards that are needed at a time do not fit into the cache, and would be downloaded again and
+    /// again.
     #[error(
-        "{shards} shards of the {split} split are shuffled together and have {bytes} bytes, more than \
-         the {limit} of remote.cache_mb; raise that, or shuffle fewer shards at a time"
+        "{shards} shards of the {split} split are needed at a time, with {bytes} bytes, more than the \
+         {limit} of remote.cache_mb; raise that, or shuffle fewer shards together (train.block)"
     )]
     CacheTooSmall {
         /// The split.
         split: Split,
-        /// Shards that are shuffled together.
+        /// How many.
         shards: usize,
         /// What the largest of them have together.
         bytes: u64,
@@ -115,8 +116,8 @@ pub struct Loaded<T> {
 /// [`Order`].
 ///
 /// A record that cannot be read is an error in its place, or left out ([`OnDamage`]); the next one
-/// follows. Dropping the loader ends its threads; at most the record that each of them has begun,
-/// or the shard that it downloads, is awaited.
+/// follows. Dropping the loader ends its threads and downloads; at most the record that each of them
+/// has begun is awaited.
 #[derive(Debug)]
 pub struct Loader<T> {
     plan: Arc<Plan>,
@@ -150,13 +151,18 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         decode: impl Fn(Record, Grids) -> T + Send + Sync + 'static,
     ) -> Result<Self, LoaderError> {
         let plan = Arc::new(Plan::new(dataset, split, &options)?);
+        let mut open_shards = OPEN_SHARDS;
         if let Some(limit) = dataset.cache_bytes() {
             let shards = dataset.shards_of(split);
             let sizes = shards.iter().map(|(shard, _)| shard.digest.bytes);
-            let (shards, bytes) = together(sizes, options.block);
+            // While one block is read, the next one comes.
+            let shards_at_hand = options.block.map(|block| block.saturating_mul(TWO));
+            let (shards, bytes) = together(sizes, shards_at_hand);
             if bytes > limit {
                 return Err(LoaderError::CacheTooSmall { split, shards, bytes, limit });
             }
+            // What is open stays on the disk when it is evicted.
+            open_shards = open_shards.min(shards);
         }
         let cells = dataset.manifest().cells as usize;
         let record = cells.saturating_mul(cells).saturating_mul(2 * CELL_BYTES) + OTHER_BYTES;
@@ -186,7 +192,7 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         };
         let decode = Arc::new(decode);
         for _ in 0..threads.get() {
-            let open = OPEN_SHARDS / threads;
+            let open = open_shards / threads;
             let plan = Arc::clone(&loader.plan);
             let worker = Worker::new(dataset, plan, cursor, open, &decode, loader.kept.as_ref());
             let queue = Arc::clone(&loader.queue);
@@ -292,7 +298,7 @@ impl<T: Clone + Send + Sync + 'static> Iterator for Loader<T> {
                     let Unreadable { id, error } = *unreadable;
                     let others = self.plan.ids.len() - 1;
                     let known = self.quarantined.contains_key(&id);
-                    let is_damage = error.fault() == Fault::Input;
+                    let is_damage = error.is_damage();
                     let leaves_some = known || self.quarantined.len() < others;
                     if self.on_damage == OnDamage::Error || !is_damage || !leaves_some {
                         return Some(Err(error));

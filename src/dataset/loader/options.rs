@@ -36,7 +36,7 @@ impl Share {
 
     /// Items of the share from its cursor `first` on that come before another cursor.
     pub(super) fn items(self, first: u64, cursor: u64) -> u64 {
-        cursor.saturating_sub(first) / u64::from(self.world.get())
+        cursor.saturating_sub(first).div_ceil(self.world.get().into())
     }
 
     /// The cursor that comes so many items after another one of the share.

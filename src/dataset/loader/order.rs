@@ -283,44 +283,35 @@ mod tests {
         }
     }
 
-    /// The distance from uniform is what is found among the records of many epochs.
+    /// The distance from uniform is what is found among the successive records of some epochs.
     #[test]
     fn the_distance_of_blocks_from_a_full_shuffle_is_measured() {
-        let shards = [30, 50, 20, 40, 60, 10, 30, 60];
-        let records: u32 = shards.iter().sum();
+        const SHARDS: usize = 8;
+        const EACH: u32 = 2000;
         let mut last = 1.0;
-        for block in [1, 2, 4, 8] {
-            let order = blocks(5, &shards, block);
-            let of_shard = |number| order.starts.partition_point(|&start| start <= number) - 1;
-            let epochs = 400;
-            let (mut expected, mut found) = (0.0, 0.0);
+        for block in [1, 2, 4, SHARDS] {
+            let order = blocks(5, &[EACH; SHARDS], block);
+            let (epochs, mut found) = (4, 0.0);
             for of in 0..epochs {
                 let epoch = order.epoch(of);
-                expected += order.distance(of) / epochs as f64;
-                for (begin, shards) in epoch.blocks(0) {
-                    // Shares of the shards among the block's records against those among all.
-                    let size: u32 = shards.iter().map(|(_, size)| size).sum();
-                    let mut counts = [0.0; 8];
-                    (begin..begin + size)
-                        .for_each(|place| counts[of_shard(epoch.at(place))] += 1.0);
-                    let off =
-                        counts.iter().zip(shards_of(&order)).map(|(&count, all): (&f64, f64)| {
-                            (count / f64::from(size) - all / f64::from(records)).abs() / 2.0
-                        });
-                    found +=
-                        off.sum::<f64>() * f64::from(size) / f64::from(records) / epochs as f64;
+                let of_shards: Vec<usize> =
+                    (0..EACH * SHARDS as u32).map(|at| (epoch.at(at) / EACH) as usize).collect();
+                let mut follows = [[0.0; SHARDS]; SHARDS];
+                of_shards.windows(2).for_each(|pair| follows[pair[0]][pair[1]] += 1.0);
+                for counts in follows {
+                    let all: f64 = counts.iter().sum();
+                    let even = 1.0 / SHARDS as f64;
+                    let off = counts.map(|count| (count / all - even).abs() / 2.0);
+                    found += off.iter().sum::<f64>() / SHARDS as f64 / epochs as f64;
                 }
             }
-            assert!((expected - found).abs() < 1e-9, "{block}: {expected}, found {found}");
+            let expected = order.distance(0);
+            // Of 2,000 draws from 8 shards about 0.025 is left by chance.
+            assert!((expected - found).abs() < 0.05, "{block}: {expected}, found {found}");
             assert!(expected < last, "larger blocks are nearer");
             last = expected;
         }
         assert!(last < 1e-12, "all shards together are a full shuffle: {last}");
-    }
-
-    fn shards_of(order: &Order) -> Vec<f64> {
-        let ends = order.starts[1..].iter().copied().chain([order.records.get()]);
-        order.starts.iter().zip(ends).map(|(start, end)| f64::from(end - start)).collect()
     }
 
     /// The sum over all outcomes of (found - expected)² / expected.

@@ -103,18 +103,26 @@ impl<T: Clone, D: Fn(Record, Grids) -> T> Worker<T, D> {
     pub(super) fn work(mut self, queue: &Queue<Outcome<T>>) {
         while let Some(item) = queue.claim() {
             let cursor = self.plan.share.after(self.first, item);
-            queue.put(item, catch_unwind(AssertUnwindSafe(|| self.load(cursor))));
+            queue.put(
+                item,
+                catch_unwind(AssertUnwindSafe(|| self.load(cursor, &|| !queue.is_stopped()))),
+            );
         }
     }
 
-    fn load(&mut self, cursor: u64) -> Result<Loaded<T>, Box<Unreadable>> {
+    fn load(
+        &mut self,
+        cursor: u64,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<Loaded<T>, Box<Unreadable>> {
         let number = self.plan.number(cursor, &mut self.epoch);
         let place = number as usize;
         if let Some(value) = self.kept.as_ref().and_then(|kept| kept.get(place)) {
             return Ok(Loaded { cursor, number, value });
         }
         let id = self.plan.ids[place];
-        let (record, grids) = self.shards.read(id).map_err(|error| Unreadable { id, error })?;
+        let read = self.shards.read(id, is_wanted);
+        let (record, grids) = read.map_err(|error| Unreadable { id, error })?;
         let value = (self.decode)(record, grids);
         if let Some(kept) = &self.kept {
             kept.put(place, &value);

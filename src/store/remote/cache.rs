@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 use std::fs::{File, OpenOptions};
-use std::io::Write;
+use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::SystemTime;
@@ -10,10 +10,11 @@ use std::time::SystemTime;
 use super::is_sha256;
 use crate::error::FileError;
 use crate::store::atomic::is_at;
-use crate::store::{Digest, sha256_file};
+use crate::store::{Digest, sha256_file, sha256_reader};
 
-/// How a download is called that is not whole yet.
-const PART: &str = "part";
+/// How a download is called that is not whole yet: `<SHA-256>.<bytes>.part`, so that others know how
+/// much room it will take.
+const PART: &str = ".part";
 
 /// A directory of downloads, together at most so large but for those under way. The ones used
 /// longest ago make room for others; who has one open keeps it.
@@ -63,7 +64,7 @@ impl Cache {
 
     /// Waits for the right to download something.
     pub(super) fn lock_part(&self, digest: &Digest) -> Result<Part, FileError> {
-        let path = self.path(digest).with_extension(PART);
+        let path = self.directory.join(format!("{}.{}{PART}", digest.sha256, digest.bytes));
         loop {
             let open = OpenOptions::new().create(true).read(true).append(true).open(&path);
             let file = open.map_err(FileError::new("create", &path))?;
@@ -79,39 +80,37 @@ impl Cache {
     pub(super) fn make_room(&self, digest: &Digest) -> Result<(), FileError> {
         let directory = &self.directory;
         let entries = std::fs::read_dir(directory).map_err(FileError::new("list", directory))?;
-        let mut others: Vec<(SystemTime, u64, PathBuf)> = entries
+        let mut others: Vec<(SystemTime, Download)> = entries
             .flatten()
             .filter_map(|entry| {
-                let (path, about) = (entry.path(), entry.metadata().ok()?);
-                let is_other = download_of(&path).is_some_and(|sha256| sha256 != digest.sha256);
-                is_other.then_some((about.modified().ok()?, about.len(), path))
+                let about = entry.metadata().ok()?;
+                let download = Download::of(entry.path(), about.len())?;
+                Some((about.modified().ok()?, download))
             })
+            .filter(|(_, download)| download.sha256 != digest.sha256)
             .collect();
         others.sort_unstable();
-        let mut total: u64 = others.iter().map(|(_, bytes, _)| bytes).sum();
-        for (_, bytes, path) in others {
+        let mut total =
+            others.iter().fold(0, |sum: u64, (_, other)| sum.saturating_add(other.bytes));
+        for (_, other) in others {
             if total.saturating_add(digest.bytes) <= self.limit {
                 break;
             }
-            if is_being_written(&path) {
-                continue;
+            if other.remove()? {
+                total -= other.bytes;
             }
-            remove(&path)?;
-            total -= bytes;
         }
         Ok(())
     }
 
     /// Takes over a download whose digest was checked.
-    pub(super) fn put(&self, part: &Part, digest: &Digest) -> Result<File, FileError> {
+    pub(super) fn put(&self, part: Part, digest: &Digest) -> Result<File, FileError> {
         let path = self.path(digest);
         part.file.sync_all().map_err(FileError::new("sync", &part.path))?;
         std::fs::rename(&part.path, &path).map_err(FileError::new("write", &path))?;
+        part.file.unlock().map_err(FileError::new("unlock", &path))?;
         self.checked().insert(digest.sha256.clone());
-        let file = File::open(&path).map_err(FileError::new("open", &path))?;
-        // Others may have come meanwhile.
-        self.make_room(digest)?;
-        Ok(file)
+        Ok(part.file)
     }
 
     fn path(&self, digest: &Digest) -> PathBuf {
@@ -134,8 +133,9 @@ impl Part {
         self.file.write_all(bytes).map_err(FileError::new("write", &self.path))
     }
 
-    pub(super) fn digest(&self) -> Result<Digest, FileError> {
-        sha256_file(&self.path)
+    pub(super) fn digest(&mut self) -> Result<Digest, FileError> {
+        let read = self.file.rewind().and_then(|()| sha256_reader(&mut self.file));
+        read.map_err(FileError::new("read", &self.path))
     }
 
     /// Begins anew.
@@ -149,17 +149,39 @@ impl Part {
     }
 }
 
-/// The SHA-256 that a file of the cache is named by, whole or not; `None` for files of others.
-fn download_of(path: &Path) -> Option<&str> {
-    let is_part = |extension: &std::ffi::OsStr| extension == PART;
-    path.extension().is_none_or(is_part).then_some(())?;
-    path.file_stem()?.to_str().filter(|stem| is_sha256(stem))
+/// A file of a cache.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct Download {
+    path: PathBuf,
+    sha256: String,
+    /// What it takes once it is whole.
+    bytes: u64,
+    is_part: bool,
 }
 
-/// Whether another process or thread downloads to this file now.
-fn is_being_written(path: &Path) -> bool {
-    let is_part = path.extension().is_some_and(|extension| extension == PART);
-    is_part && File::open(path).is_ok_and(|file| file.try_lock().is_err())
+impl Download {
+    /// `None` for files of somebody else.
+    fn of(path: PathBuf, found: u64) -> Option<Self> {
+        let name = path.file_name()?.to_str()?;
+        let part = name.strip_suffix(PART).map(|stem| stem.split_once('.'));
+        let (sha256, bytes) = match part {
+            Some(named) => named.and_then(|(sha256, bytes)| Some((sha256, bytes.parse().ok()?)))?,
+            None => (name, found),
+        };
+        let (sha256, is_part) = (sha256.to_owned(), part.is_some());
+        is_sha256(&sha256).then_some(Self { path, sha256, bytes, is_part })
+    }
+
+    /// Removes it, unless another process or thread is writing it.
+    fn remove(&self) -> Result<bool, FileError> {
+        // The lock is held until the file is gone, so that nobody begins to write to it.
+        let writer = if self.is_part { File::open(&self.path).ok() } else { None };
+        if writer.as_ref().is_some_and(|file| file.try_lock().is_err()) {
+            return Ok(false);
+        }
+        remove(&self.path)?;
+        Ok(true)
+    }
 }
 
 fn remove(path: &Path) -> Result<(), FileError> {
@@ -181,7 +203,7 @@ mod tests {
         let mut part = cache.lock_part(&digest).expect("locked");
         cache.make_room(&digest).expect("room");
         part.append(content).expect("written");
-        cache.put(&part, &digest).expect("taken over");
+        cache.put(part, &digest).expect("taken over");
         digest
     }
 
@@ -225,8 +247,12 @@ mod tests {
         assert_eq!(part.len().expect("known"), 5);
         part.append(b"56789").expect("written");
         assert_eq!(part.digest().expect("read"), digest);
-        cache.put(&part, &digest).expect("taken over");
-        assert!(is_there(&cache, &digest) && !part.path.exists());
+        let mut whole = cache.put(part, &digest).expect("taken over");
+        whole.rewind().expect("a file");
+        assert_eq!(sha256_reader(&mut whole).expect("read"), digest);
+        let names = std::fs::read_dir(dir.path()).expect("listed").flatten();
+        let parts = names.filter(|entry| entry.file_name().to_string_lossy().ends_with(PART));
+        assert!(is_there(&cache, &digest) && parts.count() == 0);
     }
 
     #[test]

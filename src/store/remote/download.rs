@@ -1,6 +1,7 @@
 //! One download, begun again where it broke off.
 
 use futures_util::StreamExt;
+use object_store::client::HttpError;
 use object_store::path::Path as ObjectPath;
 use object_store::{Error, GetOptions, GetRange, ObjectStore};
 
@@ -9,7 +10,7 @@ use super::{RemoteError, pause};
 use crate::store::Digest;
 
 /// Files that no manifest names are read into memory; none of ours is larger.
-const MOST_SMALL: usize = 1 << 30;
+const MOST_SMALL: u64 = 1 << 28;
 
 /// A file on a server.
 pub(super) struct Source<'a> {
@@ -21,25 +22,60 @@ pub(super) struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// What becomes of a failure: `None` to try again after a pause.
-    async fn failed(&self, error: &Error, failures: u32) -> Option<RemoteError> {
-        let url = self.url.clone();
-        match error {
-            Error::NotFound { .. } => return Some(RemoteError::NotFound { url }),
-            Error::Unauthenticated { .. }
-            | Error::PermissionDenied { .. }
-            | Error::InvalidPath { .. }
-            | Error::UnknownConfigurationKey { .. } => {
-                return Some(RemoteError::Url { url, reason: reason(error) });
-            }
-            _ if failures >= self.attempts => {
-                let reason = reason(error);
-                return Some(RemoteError::Failed { url, attempts: failures, reason });
-            }
-            _ => {}
+    /// Waits before the next attempt, or says why there is none.
+    async fn wait(&self, why: Interrupted, failures: u32) -> Result<(), RemoteError> {
+        let reason = match why {
+            Interrupted::Final(error) => return Err(error),
+            Interrupted::Early(reason) => reason.to_owned(),
+            Interrupted::Failed(error) => match refusal(&error) {
+                Some(refused) => return Err(refused(self.url.clone(), reason(&error))),
+                None => reason(&error),
+            },
+        };
+        if failures >= self.attempts {
+            let url = self.url.clone();
+            return Err(RemoteError::Failed { url, attempts: failures, reason });
         }
         tokio::time::sleep(pause(failures)).await;
-        None
+        Ok(())
+    }
+}
+
+/// Why an answer is not whole.
+enum Interrupted {
+    /// Another attempt would end in the same way.
+    Final(RemoteError),
+    Failed(Error),
+    /// It ended early, or too late.
+    Early(&'static str),
+}
+
+impl Interrupted {
+    /// Whether the network failed, which tells nothing of what was asked for.
+    fn is_weather(&self) -> bool {
+        let Self::Failed(error) = self else { return false };
+        let mut source = std::error::Error::source(error);
+        while let Some(error) = source {
+            if error.is::<HttpError>() {
+                return true;
+            }
+            source = error.source();
+        }
+        false
+    }
+}
+
+/// What becomes of an answer that another attempt would not change.
+fn refusal(error: &Error) -> Option<fn(String, String) -> RemoteError> {
+    match error {
+        Error::NotFound { .. } => Some(|url, _| RemoteError::NotFound { url }),
+        Error::Unauthenticated { .. } | Error::PermissionDenied { .. } => {
+            Some(|url, reason| RemoteError::Refused { url, reason })
+        }
+        Error::InvalidPath { .. } | Error::UnknownConfigurationKey { .. } => {
+            Some(|url, reason| RemoteError::Url { url, reason })
+        }
+        _ => None,
     }
 }
 
@@ -64,61 +100,55 @@ pub(super) async fn download(
     part: &mut Part,
     digest: &Digest,
 ) -> Result<(), RemoteError> {
-    let mut failures = 0;
-    let mut have = part.len()?;
-    if have > digest.bytes {
+    if part.len()? > digest.bytes {
         part.empty()?;
-        have = 0;
     }
-    while have < digest.bytes {
-        let before = have;
-        let Some(error) = stream(source, part, &mut have, digest).await? else { continue };
-        if have == before && have > 0 && !is_weather(&error) {
-            // The server may not know of ranges: all of it then.
+    let (mut failures, mut restarted) = (0, false);
+    // Only what was never had before counts as getting on: a server that knows no ranges may send
+    // the beginning for ever.
+    let mut most = part.len()?;
+    while part.len()? < digest.bytes {
+        let before = part.len()?;
+        let Err(why) = stream(source, part, digest).await else { continue };
+        let have = part.len()?;
+        failures = if have > most { 1 } else { failures + 1 };
+        most = most.max(have);
+        if before > 0 && have == before && !why.is_weather() && !restarted {
+            // The server may not know of ranges, or have another file now: all of it then.
             part.empty()?;
-            have = 0;
+            restarted = true;
         }
-        failures = if have > before { 1 } else { failures + 1 };
-        if let Some(error) = source.failed(&error, failures).await {
-            return Err(error);
-        }
+        source.wait(why, failures).await?;
     }
     Ok(())
 }
 
-/// Whether a failure tells nothing of what was asked for.
-fn is_weather(error: &Error) -> bool {
-    !matches!(error, Error::NotSupported { .. } | Error::Precondition { .. })
-}
-
-/// One answer of the server, from `have` on, and why it ended early.
-async fn stream(
-    source: &Source<'_>,
-    part: &mut Part,
-    have: &mut u64,
-    digest: &Digest,
-) -> Result<Option<Error>, RemoteError> {
-    let range = (*have > 0).then_some(GetRange::Offset(*have));
+/// One answer of the server, from the end of what is there on.
+async fn stream(source: &Source<'_>, part: &mut Part, digest: &Digest) -> Result<(), Interrupted> {
+    let on_disk = |error| Interrupted::Final(RemoteError::Cache(error));
+    let mut have = part.len().map_err(on_disk)?;
+    let range = (have > 0).then_some(GetRange::Offset(have));
     let options = GetOptions { range, ..GetOptions::default() };
-    let answer = match source.store.get_opts(&source.path, options).await {
-        Ok(answer) => answer,
-        Err(error) => return Ok(Some(error)),
-    };
+    let answer = source.store.get_opts(&source.path, options).await;
+    let answer = answer.map_err(Interrupted::Failed)?;
     let (expected, found) = (digest.bytes, answer.meta.size);
     if found != expected {
-        return Err(RemoteError::Size { url: source.url.clone(), expected, found });
+        let url = source.url.clone();
+        return Err(Interrupted::Final(RemoteError::Size { url, expected, found }));
     }
     let mut body = answer.into_stream();
     while let Some(chunk) = body.next().await {
-        match chunk {
-            Ok(chunk) => {
-                part.append(&chunk)?;
-                *have += chunk.len() as u64;
-            }
-            Err(error) => return Ok(Some(error)),
+        let chunk = chunk.map_err(Interrupted::Failed)?;
+        have += chunk.len() as u64;
+        if have > expected {
+            return Err(Interrupted::Early("more bytes came than the server had announced"));
         }
+        part.append(&chunk).map_err(on_disk)?;
     }
-    Ok(None)
+    if have < expected {
+        return Err(Interrupted::Early("fewer bytes came than the server had announced"));
+    }
+    Ok(())
 }
 
 /// A whole file into memory.
@@ -127,25 +157,30 @@ pub(super) async fn download_small(source: &Source<'_>) -> Result<Vec<u8>, Remot
     loop {
         match small(source).await {
             Ok(bytes) => return Ok(bytes),
-            Err(error) => {
+            Err(why) => {
                 failures += 1;
-                if let Some(error) = source.failed(&error, failures).await {
-                    return Err(error);
-                }
+                source.wait(why, failures).await?;
             }
         }
     }
 }
 
-async fn small(source: &Source<'_>) -> Result<Vec<u8>, Error> {
-    let answer = source.store.get_opts(&source.path, GetOptions::default()).await?;
+async fn small(source: &Source<'_>) -> Result<Vec<u8>, Interrupted> {
+    let too_large = |bytes| {
+        let (url, limit) = (source.url.clone(), MOST_SMALL);
+        Interrupted::Final(RemoteError::TooLarge { url, bytes, limit })
+    };
+    let answer = source.store.get_opts(&source.path, GetOptions::default()).await;
+    let answer = answer.map_err(Interrupted::Failed)?;
+    if answer.meta.size > MOST_SMALL {
+        return Err(too_large(answer.meta.size));
+    }
     let mut body = answer.into_stream();
     let mut bytes = Vec::new();
     while let Some(chunk) = body.next().await {
-        bytes.extend_from_slice(&chunk?);
-        if bytes.len() > MOST_SMALL {
-            let message = format!("{}: more than {MOST_SMALL} bytes", source.url);
-            return Err(Error::NotSupported { source: message.into() });
+        bytes.extend_from_slice(&chunk.map_err(Interrupted::Failed)?);
+        if bytes.len() as u64 > MOST_SMALL {
+            return Err(too_large(bytes.len() as u64));
         }
     }
     Ok(bytes)

@@ -8,10 +8,13 @@
 mod cache;
 mod download;
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
+use futures_util::future::{Either, select};
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::http::HttpBuilder;
 use object_store::path::Path as ObjectPath;
@@ -23,6 +26,9 @@ use self::download::{Source, download, download_small};
 use super::Digest;
 use crate::config::RemoteConfig;
 use crate::error::{Fault, FileError, HasFault};
+
+/// How often a transfer looks whether it is still wanted.
+const GLANCE: Duration = Duration::from_millis(50);
 
 /// Why a file cannot be had.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +45,33 @@ pub enum RemoteError {
     /// The file is not there.
     #[error("{url}: not found; expected a file of a dataset or release")]
     NotFound {
+        /// The file.
+        url: String,
+    },
+    /// The server knows who asks, or wants to, and gives nothing.
+    #[error(
+        "{url}: refused: {reason}; for s3:// set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or \
+         AWS_SKIP_SIGNATURE=true for a public bucket"
+    )]
+    Refused {
+        /// The file.
+        url: String,
+        /// What the server said.
+        reason: String,
+    },
+    /// A manifest that no dataset of any use has.
+    #[error("{url}: has {bytes} bytes, more than the {limit} that a manifest may have")]
+    TooLarge {
+        /// The file.
+        url: String,
+        /// Its size, or what came before it was given up.
+        bytes: u64,
+        /// The most that is read.
+        limit: u64,
+    },
+    /// Nobody wants it any more.
+    #[error("{url}: the download was stopped; what came is kept")]
+    Stopped {
         /// The file.
         url: String,
     },
@@ -104,7 +137,10 @@ pub enum RemoteError {
 impl HasFault for RemoteError {
     fn fault(&self) -> Fault {
         match self {
-            Self::Failed { .. } | Self::Runtime(_) => Fault::Running,
+            Self::Failed { .. }
+            | Self::Refused { .. }
+            | Self::Stopped { .. }
+            | Self::Runtime(_) => Fault::Running,
             Self::Cache(error) => error.fault(),
             _ => Fault::Input,
         }
@@ -119,6 +155,8 @@ pub struct Remote {
     base: ObjectPath,
     attempts: u32,
     cache: Cache,
+    /// What was downloaded twice instead of something, by the SHA-256 of that.
+    damaged: Mutex<HashMap<String, Digest>>,
     runtime: Runtime,
 }
 
@@ -167,7 +205,15 @@ impl Remote {
         let directory = config.cache_dir.clone().unwrap_or_else(default_cache);
         let cache = Cache::open(directory, u64::from(config.cache_mb) * 1_000_000)?;
         let url = url.trim_end_matches('/').to_owned();
-        Ok(Self { url, store, base, attempts: config.attempts, cache, runtime })
+        Ok(Self {
+            url,
+            store,
+            base,
+            attempts: config.attempts,
+            cache,
+            damaged: Mutex::default(),
+            runtime,
+        })
     }
 
     /// The size of the cache.
@@ -185,11 +231,17 @@ impl Remote {
     }
 
     /// A file of which the content is known: from the cache, or downloaded to it. Several threads
-    /// and processes may ask at once; one of them downloads.
+    /// and processes may ask at once; one of them downloads. It is given up, and what came is kept,
+    /// once `is_wanted` says no.
     ///
     /// # Errors
     /// [`RemoteError`] names the address.
-    pub fn fetch(&self, name: &str, digest: &Digest) -> Result<File, RemoteError> {
+    pub fn fetch(
+        &self,
+        name: &str,
+        digest: &Digest,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<File, RemoteError> {
         let source = self.source(name);
         let url = || source.url.clone();
         if !is_sha256(&digest.sha256) {
@@ -209,19 +261,45 @@ impl Remote {
             return Ok(file);
         }
         self.cache.make_room(digest)?;
-        let mut found = None;
-        for _ in 0..2 {
-            self.runtime.block_on(download(&source, &mut part, digest))?;
-            let is = part.digest()?;
-            if is == *digest {
-                return Ok(self.cache.put(&part, digest)?);
+        // What was damaged twice stays so while this program runs: others ask for its records too.
+        let known = self.damaged().get(&digest.sha256).cloned();
+        let mut damaged = known.clone();
+        for _ in 0..if known.is_some() { 0 } else { 2 } {
+            self.run(&url, is_wanted, download(&source, &mut part, digest))?;
+            let found = part.digest()?;
+            if found == *digest {
+                return Ok(self.cache.put(part, digest)?);
             }
             part.empty()?;
-            found = Some(is);
+            damaged = Some(found);
         }
-        let found = found.expect("two attempts were made");
+        let found = damaged.expect("two attempts were made, or more before");
+        self.damaged().insert(digest.sha256.clone(), found.clone());
         part.discard()?;
         Err(RemoteError::Damaged { url: url(), expected: digest.clone(), found })
+    }
+
+    /// Waits for a transfer as long as it is wanted.
+    fn run(
+        &self,
+        url: &dyn Fn() -> String,
+        is_wanted: &dyn Fn() -> bool,
+        transfer: impl Future<Output = Result<(), RemoteError>>,
+    ) -> Result<(), RemoteError> {
+        let unwanted = async {
+            while is_wanted() {
+                tokio::time::sleep(GLANCE).await;
+            }
+        };
+        let (transfer, unwanted) = (std::pin::pin!(transfer), std::pin::pin!(unwanted));
+        match self.runtime.block_on(select(transfer, unwanted)) {
+            Either::Left((done, _)) => done,
+            Either::Right(_) => Err(RemoteError::Stopped { url: url() }),
+        }
+    }
+
+    fn damaged(&self) -> MutexGuard<'_, HashMap<String, Digest>> {
+        self.damaged.lock().expect("nothing panics while it holds the lock")
     }
 
     fn source(&self, name: &str) -> Source<'_> {
@@ -243,8 +321,61 @@ fn default_cache() -> PathBuf {
     base.unwrap_or_else(std::env::temp_dir).join("holescout")
 }
 
-/// How long to wait after so many failures in a row: a tenth of a second, doubled each time, at
-/// most ten seconds.
+/// How long to wait after so many failures in a row: a fifth of a second, doubled each time, at most
+/// ten seconds.
 fn pause(failures: u32) -> Duration {
     Duration::from_millis(100).saturating_mul(1 << failures.min(10)).min(Duration::from_secs(10))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+    use std::time::Instant;
+
+    use super::*;
+    use crate::store::sha256_bytes;
+
+    fn open(url: &str, cache: &std::path::Path) -> Result<Remote, RemoteError> {
+        let config = RemoteConfig {
+            cache_dir: Some(cache.to_owned()),
+            attempts: 2,
+            ..RemoteConfig::default()
+        };
+        Remote::open(url, &config)
+    }
+
+    #[test]
+    fn addresses_that_cannot_be_read_are_named() {
+        let dir = tempfile::tempdir().expect("a directory");
+        for url in ["http://", "gs://bucket/x", "s3:///x"] {
+            let error = open(url, dir.path()).expect_err("no address");
+            assert!(matches!(error, RemoteError::Url { .. }), "{url}: {error}");
+            assert_eq!(error.fault(), Fault::Input);
+        }
+    }
+
+    /// Nobody has to wait for a server that takes a connection and says nothing.
+    #[test]
+    fn a_download_that_is_not_wanted_any_more_ends() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}/dataset", silent.local_addr().expect("an address"));
+        let remote = open(&url, dir.path()).expect("opened");
+        let begin = Instant::now();
+        let is_wanted = || begin.elapsed() < Duration::from_millis(200);
+        let stopped = remote.fetch("shard", &sha256_bytes(b"something"), &is_wanted);
+        assert!(matches!(stopped, Err(RemoteError::Stopped { .. })), "{stopped:?}");
+    }
+
+    #[test]
+    fn what_does_not_fit_or_has_no_digest_is_not_asked_for() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let remote = open("http://127.0.0.1:9/dataset", dir.path()).expect("opened");
+        let large = Digest { bytes: u64::MAX, ..sha256_bytes(b"x") };
+        let refused = remote.fetch("shard", &large, &|| true);
+        assert!(matches!(refused, Err(RemoteError::CacheTooSmall { .. })), "{refused:?}");
+        let nameless = Digest { bytes: 1, sha256: "../../x".to_owned() };
+        let refused = remote.fetch("shard", &nameless, &|| true);
+        assert!(matches!(refused, Err(RemoteError::NoDigest { .. })), "{refused:?}");
+    }
 }
