@@ -20,7 +20,11 @@ use holescout::error::{Fault, HasFault};
 use holescout::grid::TileId;
 use holescout::store::SeekTable;
 
-use pipeline::{HELSINKI, Random, assert_says, copy_of, read, run, shard, shared_dir, write};
+use serde_json::{Value, json};
+
+use pipeline::{
+    HELSINKI, Random, assert_says, copy_of, read, run, sha256, shard, shared_dir, write,
+};
 
 const SEED: u64 = 7;
 /// Memory for some 250 records, in bytes.
@@ -418,6 +422,38 @@ fn a_split_without_a_sound_record_is_an_error() {
         assert_says(&error.to_string(), &["train/shard-", "seek table"]);
     }
     assert_eq!(loader.quarantined().len(), records(Split::Train).len() - 1);
+}
+
+/// A manifest whose index would lose a record, or leads out of the directory, though its checksum fits.
+#[test]
+fn an_index_that_contradicts_itself_is_refused() {
+    let changes: [(&str, fn(&mut Value)); 5] = [
+        ("does not come after", |manifest| {
+            manifest["records"][1]["id"] = manifest["records"][0]["id"].clone();
+        }),
+        ("is not there, or taken", |manifest| {
+            let [shard, frame] = ["shard", "frame"].map(|key| manifest["records"][0][key].clone());
+            manifest["records"][1]["shard"] = shard;
+            manifest["records"][1]["frame"] = frame;
+        }),
+        ("is not there, or taken", |manifest| manifest["records"][0]["frame"] = json!(2)),
+        ("its index 15", |manifest| manifest["shards"][0]["records"] = json!(4_000_000_000_u32)),
+        ("does not lie in the dataset", |manifest| {
+            manifest["shards"][0]["file"] = json!("../shard-00000.msgpack.zst");
+        }),
+    ];
+    for (wanted, change) in changes {
+        let (_dir, root, files) = copy_of(&DATASET);
+        let mut manifest: Value = serde_json::from_slice(&files["manifest.json"]).expect("JSON");
+        change(&mut manifest);
+        let manifest = manifest.to_string();
+        let sums = String::from_utf8(files["SHA256SUMS"].clone()).expect("text");
+        let (old, new) = (sha256(&files["manifest.json"]), sha256(manifest.as_bytes()));
+        write(&root.join("SHA256SUMS"), sums.replace(&old, &new));
+        write(&root.join("manifest.json"), manifest);
+        let error = Dataset::open(&root).expect_err("refused");
+        assert_says(&error.to_string(), &["manifest.json", wanted]);
+    }
 }
 
 #[test]
