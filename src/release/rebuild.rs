@@ -16,20 +16,28 @@ pub(super) const AREA: &str = "area.geojson";
 /// Folder of the radio maps in [`INPUTS`].
 const MAPS: &str = "maps";
 
+/// All that is written of it, by file name.
+pub(super) fn files(manifest: &DatasetManifest) -> Vec<(&'static str, Vec<u8>)> {
+    let mut files =
+        vec![(CONFIG, config_toml(manifest).into_bytes()), (INPUTS, inputs(manifest).into_bytes())];
+    files.extend(area_geojson(manifest).map(|area| (AREA, area)));
+    files
+}
+
 /// `config.toml`, as `--config` accepts it: the sections that a dataset depends on.
-pub(super) fn config_toml(manifest: &DatasetManifest) -> String {
+fn config_toml(manifest: &DatasetManifest) -> String {
     toml::to_string_pretty(&manifest.config).expect("a configuration came from TOML's types")
 }
 
 /// `area.geojson`, as `rasterise --area` accepts it, if tiles were asked for by an area.
-pub(super) fn area_geojson(manifest: &DatasetManifest) -> Option<Vec<u8>> {
+fn area_geojson(manifest: &DatasetManifest) -> Option<Vec<u8>> {
     let coordinates = manifest.area.as_ref()?;
     Some(to_json(&json!({ "type": "MultiPolygon", "coordinates": coordinates })))
 }
 
 /// `inputs.sha256`, in the format of `sha256sum`: the extracts and all maps, those that were rejected
 /// too.
-pub(super) fn inputs(manifest: &DatasetManifest) -> String {
+fn inputs(manifest: &DatasetManifest) -> String {
     let mut text = String::new();
     for input in &manifest.inputs {
         push(&mut text, &input.digest.sha256, &input.file);

@@ -20,22 +20,9 @@ use crate::store::{Digest, MANIFEST, OutputDir, OutputError, SUMS, sha256_bytes}
 
 /// Zenodo takes no more files in a record.
 const MOST_FILES: usize = 100;
-/// Files besides shards, pictures, an area and the list of checksums.
-const FILES: [&str; 8] = [
-    MANIFEST,
-    croissant::FILE,
-    croissant::TABLE,
-    SCHEMA,
-    rebuild::CONFIG,
-    rebuild::INPUTS,
-    NOTICE,
-    README,
-];
 const SCHEMA: &str = "record.v1.json";
 const NOTICE: &str = "NOTICE";
 const README: &str = "README.md";
-/// These, the list of checksums and two histograms.
-const OTHER_FILES: usize = FILES.len() + 3;
 
 /// Why there is no release.
 #[derive(Debug, thiserror::Error)]
@@ -209,10 +196,8 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
     let description = croissant::croissant(&manifest, &sha256_bytes(&bytes), Some(&table));
     output.write(croissant::FILE, &description)?;
     output.write(SCHEMA, &json_schema::<Record>())?;
-    output.write(rebuild::CONFIG, rebuild::config_toml(&manifest).as_bytes())?;
-    output.write(rebuild::INPUTS, rebuild::inputs(&manifest).as_bytes())?;
-    if let Some(area) = rebuild::area_geojson(&manifest) {
-        output.write(rebuild::AREA, &area)?;
+    for (name, text) in rebuild::files(&manifest) {
+        output.write(name, &text)?;
     }
     output.write(NOTICE, card::notice(&manifest).as_bytes())?;
     output.write(README, card::readme(&manifest, &scan, &shown).as_bytes())?;
@@ -267,9 +252,17 @@ fn check_shards(manifest: &DatasetManifest, root: &Path) -> Result<(), ReleaseEr
     Ok(())
 }
 
+/// Names of a release's files besides shards, pictures and the list of checksums.
+fn texts(manifest: &DatasetManifest) -> Vec<&'static str> {
+    let of_all = [MANIFEST, croissant::FILE, croissant::TABLE, SCHEMA, NOTICE, README];
+    let to_rebuild = rebuild::files(manifest).into_iter().map(|(name, _)| name);
+    of_all.into_iter().chain(to_rebuild).collect()
+}
+
 fn count_files(manifest: &DatasetManifest, pictures: usize) -> Result<usize, ReleaseError> {
     let shards = manifest.shards.len();
-    let others = OTHER_FILES + usize::from(manifest.area.is_some());
+    // These, the list of checksums and two histograms.
+    let others = texts(manifest).len() + 3;
     let files = shards + pictures + others;
     if files <= MOST_FILES {
         return Ok(files);
@@ -344,10 +337,11 @@ fn check_version(
         return Err(ReleaseError::NoRelease(previous.to_owned()));
     };
     // The texts are not written yet: they will differ, be it in the version only.
-    let texts = FILES.map(|name| (name.to_owned(), String::new()));
+    let texts = texts(dataset.manifest());
+    let texts = texts.into_iter().map(|name| (name.to_owned(), String::new()));
     let shards = dataset.manifest().shards.iter();
     let shards = shards.map(|shard| (shard.file.clone(), shard.digest.sha256.clone()));
-    let changes = compare(&before, dataset, &texts.into_iter().chain(shards).collect(), progress)?;
+    let changes = compare(&before, dataset, &texts.chain(shards).collect(), progress)?;
     let step = changes.step;
     if is_enough(&from, version, step) {
         return Ok(());
