@@ -217,7 +217,7 @@ fn the_archive_holds_the_files_and_nothing_of_this_machine() {
 }
 
 #[test]
-fn an_interrupted_release_goes_on_and_ends_in_the_same_bytes() {
+fn an_interrupted_release_ends_in_the_same_bytes() {
     let (dir, dataset, files) = copy_of(&HELSINKI.dataset);
     let name = DATASET_FILES[5];
     let out = dir.path().join("out");
@@ -227,7 +227,7 @@ fn an_interrupted_release_goes_on_and_ends_in_the_same_bytes() {
     let said = run(&mut release(&dataset, VERSION, &out)).refused();
     assert_says(&said, &[name, "differs from its manifest", &sha256(&damaged)]);
     assert!(!out.join("manifest.json").exists());
-    assert!(out.join(DATASET_FILES[4]).exists(), "the first shard is done");
+    assert!(out.join(DATASET_FILES[4]).exists(), "interrupted after the first shard");
     write(&dataset.join(name), &files[name]);
     run(&mut release(&dataset, VERSION, &out)).succeeds();
     assert_same_files(&tree(&out), &tree(&RELEASE));

@@ -361,16 +361,13 @@ fn copy_shards(
     progress.begin("copying shards", Some(shards.len() as u64));
     for ShardEntry { file, digest: expected, .. } in shards {
         progress.advance(1);
-        if output.finished::<()>(file).is_some() {
-            continue;
-        }
         let path = dataset.root().join(file);
         let bytes = std::fs::read(&path).map_err(FileError::new("read", &path))?;
         let found = sha256_bytes(&bytes);
         if found != *expected {
             return Err(ReleaseError::Damaged { path, expected: expected.clone(), found });
         }
-        output.finish_item(file, &[(file, &bytes)], |_| ())?;
+        output.write(file, &bytes)?;
     }
     progress.end();
     Ok(())
