@@ -128,7 +128,10 @@ fn an_unusual_dataset_gives_the_same_files_again() {
     run(&mut tiles).succeeds();
     assert_same_files(&tree(&at("tiles-again")), &tree(&at("tiles")));
     let card = fs::read_to_string(release.join("README.md")).expect("read");
-    assert_says(&card, &["--area area.geojson", "`area.geojson`", "--scenes"]);
+    assert_says(
+        &card,
+        &["--area area.geojson", "`area.geojson`", "--tiles tiles --scenes scenes --out rsrp"],
+    );
 }
 
 /// The fixtures' configuration with smaller records than those of the shards.
