@@ -106,6 +106,8 @@ fn a_release_is_a_sound_dataset_with_the_same_shards() {
         "dataset_manifest_sha256": sha256(&dataset),
     });
     assert_eq!(manifest["release"], release);
+    let croissant = read_json(&RELEASE.join("croissant.json"));
+    assert_eq!(croissant.get("datePublished"), None, "no date was given");
     let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/record.v1.json");
     assert!(files["record.v1.json"] == read(&schema));
 }
@@ -325,8 +327,17 @@ fn other_files_are_replaced_only_when_that_is_asked_for() {
     let before = tree(&out);
     let said = run(&mut release(&HELSINKI.dataset, VERSION, &out)).refused();
     assert_says(&said, &["--overwrite"]);
-    let said = run(release(&HELSINKI.dataset, "1.0.0", &out).arg("--tar")).refused();
-    assert_says(&said, &["out.tar", "--overwrite"]);
+    let packed = read(&archive(&out));
+    run(release(&HELSINKI.dataset, "1.0.0", &out).arg("--tar")).succeeds();
+    assert!(read(&archive(&out)) == packed, "the same command, the same bytes");
+    let mut other = packed.clone();
+    other[1000] ^= 1;
+    for other in [other, packed[1..].to_vec(), [&packed[..], b"x"].concat()] {
+        write(&archive(&out), &other);
+        let said = run(release(&HELSINKI.dataset, "1.0.0", &out).arg("--tar")).refused();
+        assert_says(&said, &["out.tar", "--overwrite"]);
+        assert!(read(&archive(&out)) == other, "it is left as it was");
+    }
     assert_same_files(&tree(&out), &before);
     run(release(&HELSINKI.dataset, VERSION, &out).args(["--tar", "--overwrite"])).succeeds();
     assert_same_files(&tree(&out), &tree(&RELEASE));

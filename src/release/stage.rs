@@ -4,7 +4,7 @@ use std::path::{Component, Path, PathBuf};
 
 use semver::Version;
 
-use super::archive::write_archive;
+use super::archive::Contents;
 use super::date::Date;
 use super::diff::{DiffError, compare, sums};
 use super::scan::scan;
@@ -68,8 +68,8 @@ pub enum ReleaseError {
     /// The output would lie in the input.
     #[error("{} lies in the dataset that it would be made of: choose another --out", .0.display())]
     Inside(PathBuf),
-    /// The archive exists.
-    #[error("{} exists: remove it, or pass --overwrite to replace it", .0.display())]
+    /// There is an archive with other bytes.
+    #[error("{} exists with other bytes: remove it, or pass --overwrite to replace it", .0.display())]
     ArchiveExists(PathBuf),
     /// Too many files for a repository of data.
     #[error(
@@ -169,14 +169,14 @@ pub struct Released {
 /// Releases a dataset.
 ///
 /// # Errors
-/// [`ReleaseError`]; the directory then has no manifest.
+/// [`ReleaseError`]; the directory then has no manifest, unless the archive alone is in the way.
 pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released, ReleaseError> {
     let dataset = Dataset::open(job.dataset)?;
     let manifest = published(&dataset, job)?;
     let shown = charts::chosen(&dataset);
     let files = count_files(&manifest, shown.len())?;
     let out = output_of(job, &manifest)?;
-    let archive = archive_of(job, &out)?;
+    let archive = job.archive.map(|mtime| (archive_of(&out), mtime));
     if let Some(previous) = job.previous {
         check_version(previous, &dataset, job.version, progress)?;
     }
@@ -203,12 +203,19 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
     output.write(README, card::readme(&manifest, &scan, &shown).as_bytes())?;
     output.complete(&bytes)?;
 
-    if let (Some(archive), Some(mtime)) = (&archive, job.archive) {
+    if let Some((archive, mtime)) = &archive {
         let mut names: Vec<String> = sums(&out)?.into_keys().collect();
         names.push(SUMS.to_owned());
-        write_archive(archive, &out, &folder(&manifest), &names, mtime)?;
+        let folder = &folder(&manifest);
+        let contents = Contents { root: &out, folder, files: &names, mtime: *mtime };
+        // What may be published already is replaced by other bytes only when that is asked for.
+        if job.overwrite || !archive.exists() {
+            contents.write(archive)?;
+        } else if !contents.are_in(archive)? {
+            return Err(ReleaseError::ArchiveExists(archive.clone()));
+        }
     }
-    Ok(Released { out, archive, files, manifest })
+    Ok(Released { out, archive: archive.map(|(archive, _)| archive), files, manifest })
 }
 
 /// The manifest of the release.
@@ -312,17 +319,10 @@ fn absolute(path: &Path) -> Result<PathBuf, FileError> {
     }
 }
 
-fn archive_of(job: &ReleaseJob<'_>, out: &Path) -> Result<Option<PathBuf>, ReleaseError> {
-    if job.archive.is_none() {
-        return Ok(None);
-    }
+fn archive_of(out: &Path) -> PathBuf {
     let mut archive = out.as_os_str().to_owned();
     archive.push(".tar");
-    let archive = PathBuf::from(archive);
-    if archive.exists() && !job.overwrite {
-        return Err(ReleaseError::ArchiveExists(archive));
-    }
-    Ok(Some(archive))
+    PathBuf::from(archive)
 }
 
 fn check_version(
