@@ -195,6 +195,7 @@ fmt-check: | tools
 .PHONY: lint
 lint: | tools
 	cargo clippy --locked --all-targets --features remote -- -D warnings
+	cargo clippy --locked --lib --bins -- -D warnings
 
 .PHONY: doc
 doc: | tools
