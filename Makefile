@@ -76,14 +76,15 @@ verify-rebuild: dataset
 	$(BIN) verify $(OUT)/dataset --rebuild --osm $(OSM) --maps $(RSRP)
 
 # The dataset with a version, as a directory and an archive; RELEASE_FLAGS="--url .. --creator .. --previous DIR" and the like go
-# to `holescout release`. Without a DATE it tells none: the same command gives the same bytes tomorrow.
+# to `holescout release`. Without a DATE it tells none: the same command gives the same bytes tomorrow. A version that is there
+# with other bytes is refused; RELEASE_FLAGS=--overwrite replaces it.
 NAME ?= $(notdir $(OUT))
 RELEASE = $(OUT)/release/$(NAME)-$(VERSION)
 .PHONY: release
 release: $(OUT)/.verified
 	@test -n '$(VERSION)' || { echo "say which: make release VERSION=1.2.0" >&2; exit 2; }
 	$(RUN) release $(OUT)/dataset --version $(VERSION) --name $(NAME) $(if $(DATE),--date $(DATE)) $(RELEASE_FLAGS) \
-	  --tar --out $(RELEASE) --overwrite
+	  --tar --out $(RELEASE)
 	$(BIN) verify $(RELEASE)
 	@echo "release: $(RELEASE)"
 
@@ -194,6 +195,7 @@ fmt-check: | tools
 .PHONY: lint
 lint: | tools
 	cargo clippy --locked --all-targets --features remote -- -D warnings
+	cargo clippy --locked --lib --bins -- -D warnings
 
 .PHONY: doc
 doc: | tools

@@ -34,7 +34,8 @@ pub(crate) fn run(args: &ReleaseArgs, console: &Console) -> Result<Report, Failu
         overwrite: args.overwrite,
     };
     if date.is_none() {
-        console.note("note: no --date: croissant.json says that it was published on 1970-01-01");
+        console
+            .note("note: no --date: croissant.json lacks datePublished, of which validators warn");
     }
     if args.url.is_none() {
         console.note("note: no --url: croissant.json lacks it, though Croissant asks for one");

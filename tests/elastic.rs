@@ -122,6 +122,26 @@ fn shuffled(count: u32, random: &mut Random) -> Vec<u32> {
     order
 }
 
+/// A file that this machine does not give now is not an input that all others lack.
+#[test]
+fn a_task_that_cannot_read_a_file_may_be_tried_again() {
+    let names: Vec<String> = tree(&fixture("helsinki/rsrp")).into_keys().collect();
+    let sidecar = names[0].replace(".npz", ".json");
+    for name in ["another.npz", &sidecar] {
+        let dir = temporary_dir();
+        let (maps, out) = (dir.path().join("maps"), dir.path().join("out"));
+        plant(&maps, &tree(&fixture("helsinki/rsrp")));
+        // Opens as a regular file for everybody, root included, and fails when it is read.
+        std::os::unix::fs::symlink("/proc/self/mem", maps.join(name)).expect("linked");
+        let mut task = import(&maps, &HELSINKI.tiles, &out);
+        task.args(["--task-index", "0", "--task-count", "2"]);
+        assert_says(&temporary(run(&mut task)), &[name, "Input/output error"]);
+        assert!(!out.exists(), "nothing is begun with other inputs");
+        fs::remove_file(maps.join(name)).expect("removed");
+        run(&mut task).succeeds();
+    }
+}
+
 // The same bytes -------------------------------------------------------------------------
 
 /// Tasks in any order, one of them twice, then the merge.

@@ -114,6 +114,10 @@ fn an_unusual_dataset_gives_the_same_files_again() {
     again = rebuild(&release);
     again.arg("--maps").arg(at("maps")).arg("--scenes").arg(at("scenes"));
     run(&mut again).succeeds();
+    // A version of which nothing changed is a small step, also with an area.
+    run(&mut pipeline::release(&at("dataset"), "1.0.0", &at("first"))).succeeds();
+    let mut next = pipeline::release(&at("dataset"), "1.0.1", &at("next"));
+    run(next.arg("--previous").arg(at("first"))).succeeds();
     forge(&release, |manifest| manifest["release"]["version"] = json!("2.0.0-rc.2"));
     assert_says(&run(&mut again).refused(), &["README.md"]);
 
@@ -124,7 +128,10 @@ fn an_unusual_dataset_gives_the_same_files_again() {
     run(&mut tiles).succeeds();
     assert_same_files(&tree(&at("tiles-again")), &tree(&at("tiles")));
     let card = fs::read_to_string(release.join("README.md")).expect("read");
-    assert_says(&card, &["--area area.geojson", "`area.geojson`", "--scenes"]);
+    assert_says(
+        &card,
+        &["--area area.geojson", "`area.geojson`", "--tiles tiles --scenes scenes --out rsrp"],
+    );
 }
 
 /// The fixtures' configuration with smaller records than those of the shards.

@@ -14,7 +14,7 @@ use ndarray::{Array2, Axis, s};
 use serde_json::{Value, json};
 use zip::CompressionMethod;
 
-use pipeline::importing::{Import, Rejected};
+use pipeline::importing::{Import, Rejected, good_tile};
 use pipeline::maps::{DROPPED_TILE, SITE, Window, metadata, write_good, write_npz};
 use pipeline::numpy::{Float, Layout, npy, npy_raw, npy_text, npz};
 use pipeline::{assert_says, read_json, run, shard, tree, write};
@@ -530,6 +530,14 @@ fn an_unreadable_file_is_rejected_like_any_other() {
     let rejected = import.only_rejection();
     assert_eq!(rejected.code, "unreadable");
     assert_says(&rejected.found, &["Input/output error"]);
+
+    // What stands in a sidecar that cannot be read may be about another map.
+    let import = Import::new();
+    write_good(&import.map("bad.npz"), good_tile());
+    std::os::unix::fs::symlink("/proc/self/mem", import.map("bad.json")).expect("linked");
+    let rejected = import.only_rejection();
+    assert_eq!((rejected.file.as_str(), rejected.code.as_str()), ("bad.npz", "unreadable"));
+    assert_says(&rejected.found, &["bad.json"]);
 }
 
 #[test]

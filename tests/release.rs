@@ -106,6 +106,8 @@ fn a_release_is_a_sound_dataset_with_the_same_shards() {
         "dataset_manifest_sha256": sha256(&dataset),
     });
     assert_eq!(manifest["release"], release);
+    let croissant = read_json(&RELEASE.join("croissant.json"));
+    assert_eq!(croissant.get("datePublished"), None, "no date was given");
     let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/record.v1.json");
     assert!(files["record.v1.json"] == read(&schema));
 }
@@ -217,7 +219,7 @@ fn the_archive_holds_the_files_and_nothing_of_this_machine() {
 }
 
 #[test]
-fn an_interrupted_release_goes_on_and_ends_in_the_same_bytes() {
+fn an_interrupted_release_ends_in_the_same_bytes() {
     let (dir, dataset, files) = copy_of(&HELSINKI.dataset);
     let name = DATASET_FILES[5];
     let out = dir.path().join("out");
@@ -227,7 +229,7 @@ fn an_interrupted_release_goes_on_and_ends_in_the_same_bytes() {
     let said = run(&mut release(&dataset, VERSION, &out)).refused();
     assert_says(&said, &[name, "differs from its manifest", &sha256(&damaged)]);
     assert!(!out.join("manifest.json").exists());
-    assert!(out.join(DATASET_FILES[4]).exists(), "the first shard is done");
+    assert!(out.join(DATASET_FILES[4]).exists(), "interrupted after the first shard");
     write(&dataset.join(name), &files[name]);
     run(&mut release(&dataset, VERSION, &out)).succeeds();
     assert_same_files(&tree(&out), &tree(&RELEASE));
@@ -325,8 +327,17 @@ fn other_files_are_replaced_only_when_that_is_asked_for() {
     let before = tree(&out);
     let said = run(&mut release(&HELSINKI.dataset, VERSION, &out)).refused();
     assert_says(&said, &["--overwrite"]);
-    let said = run(release(&HELSINKI.dataset, "1.0.0", &out).arg("--tar")).refused();
-    assert_says(&said, &["out.tar", "--overwrite"]);
+    let packed = read(&archive(&out));
+    run(release(&HELSINKI.dataset, "1.0.0", &out).arg("--tar")).succeeds();
+    assert!(read(&archive(&out)) == packed, "the same command, the same bytes");
+    let mut other = packed.clone();
+    other[1000] ^= 1;
+    for other in [other, packed[1..].to_vec(), [&packed[..], b"x"].concat()] {
+        write(&archive(&out), &other);
+        let said = run(release(&HELSINKI.dataset, "1.0.0", &out).arg("--tar")).refused();
+        assert_says(&said, &["out.tar", "--overwrite"]);
+        assert!(read(&archive(&out)) == other, "it is left as it was");
+    }
     assert_same_files(&tree(&out), &before);
     run(release(&HELSINKI.dataset, VERSION, &out).args(["--tar", "--overwrite"])).succeeds();
     assert_same_files(&tree(&out), &tree(&RELEASE));

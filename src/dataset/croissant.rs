@@ -4,7 +4,7 @@
 //! What Croissant can read is declared as record sets: the list of records and that of shards. It
 //! knows no `MessagePack`, so the arrays are described as bands and measured variables, and no
 //! record set claims to hold them. A dataset that was never published has neither `version` nor
-//! `datePublished`.
+//! `datePublished`; a release has the latter if it was given a date.
 //!
 //! Sources: <https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html>,
 //! <https://docs.mlcommons.org/croissant/docs/croissant-geo-spec.html>.
@@ -21,8 +21,6 @@ pub(crate) const FILE: &str = "croissant.json";
 /// Name of a release's table of records.
 pub(crate) const TABLE: &str = "records.csv";
 const ZSTD: &str = "application/zstd";
-/// What a release says that was given no date: the beginning of `SOURCE_DATE_EPOCH`.
-const NO_DATE: &str = "1970-01-01";
 
 /// The description of a dataset whose manifest has a digest; `table` is that of `records.csv`,
 /// where there is one.
@@ -88,7 +86,9 @@ pub(crate) fn croissant(
     });
     if let Some(release) = release {
         dataset["version"] = json!(release.version);
-        dataset["datePublished"] = json!(release.date.as_deref().unwrap_or(NO_DATE));
+        if let Some(date) = &release.date {
+            dataset["datePublished"] = json!(date);
+        }
         if let Some(url) = &release.url {
             dataset["url"] = json!(url);
         }

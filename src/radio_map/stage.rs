@@ -1,6 +1,7 @@
 //! `holescout import-rsrp`: anyone's maps in, a directory of aligned ones out.
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -20,7 +21,7 @@ use crate::manifest::{
     to_json,
 };
 use crate::progress::Progress;
-use crate::store::{BuildMode, Digest, OutputDir, OutputError, sha256_file};
+use crate::store::{BuildMode, Digest, OutputDir, OutputError, Part, sha256_file};
 
 /// Why maps could not be imported at all. Single maps are rejected, not errors.
 #[derive(Debug, thiserror::Error)]
@@ -95,7 +96,7 @@ struct Source {
     path: PathBuf,
     name: String,
     digest: Result<Digest, Rejection>,
-    /// Of the `.json` of the same name: other metadata, another map.
+    /// Of the `.json` of the same name, if there is one: other metadata, another map.
     sidecar: Option<Digest>,
 }
 
@@ -116,7 +117,9 @@ pub fn import_maps(
     if paths.is_empty() {
         return Err(ImportError::NoMaps { directory: job.maps.to_owned() });
     }
-    let sources: Vec<Source> = paths.into_par_iter().map(source).collect();
+    let shared = job.mode.part != Part::Whole;
+    let sources = paths.into_par_iter().map(|path| source(path, shared));
+    let sources = sources.collect::<Result<Vec<_>, FileError>>()?;
     let config = &job.config.rsrp;
     let record_cell_m = job.config.shard.cell_m(&manifest.config.grid);
     let inputs = ImportInputs {
@@ -164,11 +167,27 @@ fn read_scenes(
     Ok((scene_facts(directory, &manifest)?, digest))
 }
 
-fn source(path: PathBuf) -> Source {
+/// A file and its sidecar, either of which may be unreadable: then the map is rejected. Where tasks
+/// share an import, what the next try may read ends the run instead: it would give this task other
+/// inputs than the others have.
+fn source(path: PathBuf, shared: bool) -> Result<Source, FileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let digest = sha256_file(&path).map_err(|error| unreadable(&error));
-    let sidecar = sha256_file(&path.with_extension("json")).ok();
-    Source { path, name, digest, sidecar }
+    let digest_of = |path: &Path| match sha256_file(path) {
+        Err(error) if shared && may_pass(&error) => Err(error),
+        digest => Ok(digest),
+    };
+    let (sidecar, unread) = match digest_of(&path.with_extension("json"))? {
+        Ok(digest) => (Some(digest), None),
+        Err(error) if error.source.kind() == ErrorKind::NotFound => (None, None),
+        Err(error) => (None, Some(error)),
+    };
+    let digest = unread.map_or(digest_of(&path)?, Err).map_err(|error| unreadable(&error));
+    Ok(Source { path, name, digest, sidecar })
+}
+
+/// Whether a file that could not be read may be readable the next time.
+fn may_pass(error: &FileError) -> bool {
+    error.fault() == Fault::Running && error.source.kind() != ErrorKind::PermissionDenied
 }
 
 /// What the manifest says of a source.

@@ -102,16 +102,16 @@ pub(super) fn stage<'a>(
     recorded: &str,
     given: Option<&'a Path>,
 ) -> Result<&'a Path, RebuildError> {
-    let recorded = format!("{what} whose manifest has SHA-256 {recorded}");
+    let expected = format!("{what} whose manifest has SHA-256 {recorded}");
     let Some(given) = given else {
-        return Err(RebuildError::NotGiven { recorded, flag });
+        return Err(RebuildError::NotGiven { recorded: expected, flag });
     };
     let found = sha256_file(&given.join(MANIFEST))?.sha256;
-    if recorded.ends_with(&found) {
+    if found == recorded {
         return Ok(given);
     }
     let found = format!("its manifest has SHA-256 {found}");
-    Err(RebuildError::Other { path: given.to_owned(), found, recorded })
+    Err(RebuildError::Other { path: given.to_owned(), found, recorded: expected })
 }
 
 /// A recorded file under its recorded name.

@@ -4,7 +4,7 @@
 //! program, and name the settings that they depend on.
 
 use super::charts::FOLDER;
-use super::rebuild::{AREA, CONFIG, INPUTS, commands};
+use super::rebuild::{AREA, CONFIG, INPUTS, SCENES, commands};
 use super::scan::Scan;
 use crate::config::Split;
 use crate::dataset::{card, croissant};
@@ -214,7 +214,7 @@ fn rebuilding(manifest: &DatasetManifest) -> String {
     };
     let scenes = manifest.import.scenes_manifest_sha256.as_ref().map_or_else(String::new, |sha256| {
         format!(
-            " The import also needs, by `--scenes`, the scenes whose manifest has SHA-256 {sha256}."
+            " The import also needs, in `{SCENES}/`, the scenes whose manifest has SHA-256 {sha256}."
         )
     });
     let dated = manifest.release.as_ref().is_some_and(|release| release.date.is_some());

@@ -1,11 +1,12 @@
 //! What builds a release again: its configuration, its inputs by checksum, the commands.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
 
 use serde_json::json;
 
-use crate::manifest::{DatasetManifest, MapFile, to_json};
+use crate::manifest::{DatasetManifest, Input, MapFile, to_json};
 
 /// The configuration of a dataset.
 pub(super) const CONFIG: &str = "config.toml";
@@ -15,24 +16,34 @@ pub(super) const INPUTS: &str = "inputs.sha256";
 pub(super) const AREA: &str = "area.geojson";
 /// Folder of the radio maps in [`INPUTS`].
 const MAPS: &str = "maps";
+/// Folder of the scenes that maps were traced from.
+pub(super) const SCENES: &str = "scenes";
+
+/// All that is written of it, by file name.
+pub(super) fn files(manifest: &DatasetManifest) -> Vec<(&'static str, Vec<u8>)> {
+    let mut files =
+        vec![(CONFIG, config_toml(manifest).into_bytes()), (INPUTS, inputs(manifest).into_bytes())];
+    files.extend(area_geojson(manifest).map(|area| (AREA, area)));
+    files
+}
 
 /// `config.toml`, as `--config` accepts it: the sections that a dataset depends on.
-pub(super) fn config_toml(manifest: &DatasetManifest) -> String {
+fn config_toml(manifest: &DatasetManifest) -> String {
     toml::to_string_pretty(&manifest.config).expect("a configuration came from TOML's types")
 }
 
 /// `area.geojson`, as `rasterise --area` accepts it, if tiles were asked for by an area.
-pub(super) fn area_geojson(manifest: &DatasetManifest) -> Option<Vec<u8>> {
+fn area_geojson(manifest: &DatasetManifest) -> Option<Vec<u8>> {
     let coordinates = manifest.area.as_ref()?;
     Some(to_json(&json!({ "type": "MultiPolygon", "coordinates": coordinates })))
 }
 
 /// `inputs.sha256`, in the format of `sha256sum`: the extracts and all maps, those that were rejected
 /// too.
-pub(super) fn inputs(manifest: &DatasetManifest) -> String {
+fn inputs(manifest: &DatasetManifest) -> String {
     let mut text = String::new();
-    for input in &manifest.inputs {
-        push(&mut text, &input.digest.sha256, &input.file);
+    for (input, path) in manifest.inputs.iter().zip(extracts(&manifest.inputs)) {
+        push(&mut text, &input.digest.sha256, &path);
     }
     for MapFile { file, digest, sidecar } in &manifest.import.maps {
         let of_sidecar = Path::new(file).with_extension("json");
@@ -46,13 +57,24 @@ pub(super) fn inputs(manifest: &DatasetManifest) -> String {
     text
 }
 
+/// Where the extracts lie: each in a folder of its own where two have one name.
+fn extracts(inputs: &[Input]) -> Vec<String> {
+    let names: BTreeSet<&str> = inputs.iter().map(|input| input.file.as_str()).collect();
+    let differ = names.len() == inputs.len();
+    let path = |(number, Input { file, .. }): (usize, &Input)| {
+        if differ { file.clone() } else { format!("{}/{file}", number + 1) }
+    };
+    inputs.iter().enumerate().map(path).collect()
+}
+
 fn push(text: &mut String, sha256: &str, file: &str) {
     writeln!(text, "{sha256}  {file}").expect("writing to a string cannot fail");
 }
 
 /// The commands, one a line, to be run where the inputs and `config.toml` lie.
 pub(super) fn commands(manifest: &DatasetManifest) -> String {
-    let extracts: Vec<String> = manifest.inputs.iter().map(|input| quoted(&input.file)).collect();
+    let extracts = extracts(&manifest.inputs);
+    let extracts: Vec<String> = extracts.iter().map(|path| quoted(path)).collect();
     let mut release = String::from("holescout release dataset");
     if let Some(this) = &manifest.release {
         let mut flag = |name: &str, value: &str| {
@@ -71,10 +93,12 @@ pub(super) fn commands(manifest: &DatasetManifest) -> String {
     }
     let extracts = extracts.join(" ");
     let area = if manifest.area.is_some() { format!(" --area {AREA}") } else { String::new() };
+    let from_scenes = manifest.import.scenes_manifest_sha256.is_some();
+    let scenes = if from_scenes { format!(" --scenes {SCENES}") } else { String::new() };
     format!(
         "sha256sum -c {INPUTS}\n\
          holescout --config {CONFIG} rasterise --osm {extracts}{area} --out tiles\n\
-         holescout --config {CONFIG} import-rsrp --maps {MAPS} --tiles tiles --out rsrp\n\
+         holescout --config {CONFIG} import-rsrp --maps {MAPS} --tiles tiles{scenes} --out rsrp\n\
          holescout --config {CONFIG} shard --tiles tiles --rsrp rsrp --out dataset\n\
          {release}\n"
     )
@@ -92,6 +116,19 @@ fn quoted(word: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::sha256_bytes;
+
+    #[test]
+    fn extracts_of_one_name_lie_apart() {
+        let input = |file: &str| Input {
+            file: file.to_owned(),
+            digest: sha256_bytes(b""),
+            licence: String::new(),
+            attribution: String::new(),
+        };
+        assert_eq!(extracts(&[input("a.pbf"), input("b.pbf")]), ["a.pbf", "b.pbf"]);
+        assert_eq!(extracts(&[input("a.pbf"), input("a.pbf")]), ["1/a.pbf", "2/a.pbf"]);
+    }
 
     #[test]
     fn words_are_quoted_for_a_shell() {

@@ -4,7 +4,7 @@ use std::path::{Component, Path, PathBuf};
 
 use semver::Version;
 
-use super::archive::write_archive;
+use super::archive::Contents;
 use super::date::Date;
 use super::diff::{DiffError, compare, sums};
 use super::scan::scan;
@@ -20,22 +20,9 @@ use crate::store::{Digest, MANIFEST, OutputDir, OutputError, SUMS, sha256_bytes}
 
 /// Zenodo takes no more files in a record.
 const MOST_FILES: usize = 100;
-/// Files besides shards, pictures, an area and the list of checksums.
-const FILES: [&str; 8] = [
-    MANIFEST,
-    croissant::FILE,
-    croissant::TABLE,
-    SCHEMA,
-    rebuild::CONFIG,
-    rebuild::INPUTS,
-    NOTICE,
-    README,
-];
 const SCHEMA: &str = "record.v1.json";
 const NOTICE: &str = "NOTICE";
 const README: &str = "README.md";
-/// These, the list of checksums and two histograms.
-const OTHER_FILES: usize = FILES.len() + 3;
 
 /// Why there is no release.
 #[derive(Debug, thiserror::Error)]
@@ -81,8 +68,8 @@ pub enum ReleaseError {
     /// The output would lie in the input.
     #[error("{} lies in the dataset that it would be made of: choose another --out", .0.display())]
     Inside(PathBuf),
-    /// The archive exists.
-    #[error("{} exists: remove it, or pass --overwrite to replace it", .0.display())]
+    /// There is an archive with other bytes.
+    #[error("{} exists with other bytes: remove it, or pass --overwrite to replace it", .0.display())]
     ArchiveExists(PathBuf),
     /// Too many files for a repository of data.
     #[error(
@@ -182,14 +169,14 @@ pub struct Released {
 /// Releases a dataset.
 ///
 /// # Errors
-/// [`ReleaseError`]; the directory then has no manifest.
+/// [`ReleaseError`]; the directory then has no manifest, unless the archive alone is in the way.
 pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released, ReleaseError> {
     let dataset = Dataset::open(job.dataset)?;
     let manifest = published(&dataset, job)?;
     let shown = charts::chosen(&dataset);
     let files = count_files(&manifest, shown.len())?;
     let out = output_of(job, &manifest)?;
-    let archive = archive_of(job, &out)?;
+    let archive = job.archive.map(|mtime| (archive_of(&out), mtime));
     if let Some(previous) = job.previous {
         check_version(previous, &dataset, job.version, progress)?;
     }
@@ -209,21 +196,26 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
     let description = croissant::croissant(&manifest, &sha256_bytes(&bytes), Some(&table));
     output.write(croissant::FILE, &description)?;
     output.write(SCHEMA, &json_schema::<Record>())?;
-    output.write(rebuild::CONFIG, rebuild::config_toml(&manifest).as_bytes())?;
-    output.write(rebuild::INPUTS, rebuild::inputs(&manifest).as_bytes())?;
-    if let Some(area) = rebuild::area_geojson(&manifest) {
-        output.write(rebuild::AREA, &area)?;
+    for (name, text) in rebuild::files(&manifest) {
+        output.write(name, &text)?;
     }
     output.write(NOTICE, card::notice(&manifest).as_bytes())?;
     output.write(README, card::readme(&manifest, &scan, &shown).as_bytes())?;
     output.complete(&bytes)?;
 
-    if let (Some(archive), Some(mtime)) = (&archive, job.archive) {
+    if let Some((archive, mtime)) = &archive {
         let mut names: Vec<String> = sums(&out)?.into_keys().collect();
         names.push(SUMS.to_owned());
-        write_archive(archive, &out, &folder(&manifest), &names, mtime)?;
+        let folder = &folder(&manifest);
+        let contents = Contents { root: &out, folder, files: &names, mtime: *mtime };
+        // What may be published already is replaced by other bytes only when that is asked for.
+        if job.overwrite || !archive.exists() {
+            contents.write(archive)?;
+        } else if !contents.are_in(archive)? {
+            return Err(ReleaseError::ArchiveExists(archive.clone()));
+        }
     }
-    Ok(Released { out, archive, files, manifest })
+    Ok(Released { out, archive: archive.map(|(archive, _)| archive), files, manifest })
 }
 
 /// The manifest of the release.
@@ -267,9 +259,17 @@ fn check_shards(manifest: &DatasetManifest, root: &Path) -> Result<(), ReleaseEr
     Ok(())
 }
 
+/// Names of a release's files besides shards, pictures and the list of checksums.
+fn texts(manifest: &DatasetManifest) -> Vec<&'static str> {
+    let of_all = [MANIFEST, croissant::FILE, croissant::TABLE, SCHEMA, NOTICE, README];
+    let to_rebuild = rebuild::files(manifest).into_iter().map(|(name, _)| name);
+    of_all.into_iter().chain(to_rebuild).collect()
+}
+
 fn count_files(manifest: &DatasetManifest, pictures: usize) -> Result<usize, ReleaseError> {
     let shards = manifest.shards.len();
-    let others = OTHER_FILES + usize::from(manifest.area.is_some());
+    // These, the list of checksums and two histograms.
+    let others = texts(manifest).len() + 3;
     let files = shards + pictures + others;
     if files <= MOST_FILES {
         return Ok(files);
@@ -319,17 +319,10 @@ fn absolute(path: &Path) -> Result<PathBuf, FileError> {
     }
 }
 
-fn archive_of(job: &ReleaseJob<'_>, out: &Path) -> Result<Option<PathBuf>, ReleaseError> {
-    if job.archive.is_none() {
-        return Ok(None);
-    }
+fn archive_of(out: &Path) -> PathBuf {
     let mut archive = out.as_os_str().to_owned();
     archive.push(".tar");
-    let archive = PathBuf::from(archive);
-    if archive.exists() && !job.overwrite {
-        return Err(ReleaseError::ArchiveExists(archive));
-    }
-    Ok(Some(archive))
+    PathBuf::from(archive)
 }
 
 fn check_version(
@@ -344,10 +337,11 @@ fn check_version(
         return Err(ReleaseError::NoRelease(previous.to_owned()));
     };
     // The texts are not written yet: they will differ, be it in the version only.
-    let texts = FILES.map(|name| (name.to_owned(), String::new()));
+    let texts = texts(dataset.manifest());
+    let texts = texts.into_iter().map(|name| (name.to_owned(), String::new()));
     let shards = dataset.manifest().shards.iter();
     let shards = shards.map(|shard| (shard.file.clone(), shard.digest.sha256.clone()));
-    let changes = compare(&before, dataset, &texts.into_iter().chain(shards).collect(), progress)?;
+    let changes = compare(&before, dataset, &texts.chain(shards).collect(), progress)?;
     let step = changes.step;
     if is_enough(&from, version, step) {
         return Ok(());
@@ -367,16 +361,13 @@ fn copy_shards(
     progress.begin("copying shards", Some(shards.len() as u64));
     for ShardEntry { file, digest: expected, .. } in shards {
         progress.advance(1);
-        if output.finished::<()>(file).is_some() {
-            continue;
-        }
         let path = dataset.root().join(file);
         let bytes = std::fs::read(&path).map_err(FileError::new("read", &path))?;
         let found = sha256_bytes(&bytes);
         if found != *expected {
             return Err(ReleaseError::Damaged { path, expected: expected.clone(), found });
         }
-        output.finish_item(file, &[(file, &bytes)], |_| ())?;
+        output.write(file, &bytes)?;
     }
     progress.end();
     Ok(())

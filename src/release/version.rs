@@ -34,11 +34,15 @@ impl Step {
     }
 }
 
-/// The lowest version that may follow a change.
+/// The lowest version that may follow a change. A pre-release may change anything on the way to
+/// the version that it precedes.
 #[must_use]
 pub fn least(from: &Version, step: Step) -> Version {
     let Version { major, minor, patch, .. } = *from;
     match (step, major) {
+        (Step::Patch | Step::Minor | Step::Major, _) if !from.pre.is_empty() => {
+            Version::new(major, minor, patch)
+        }
         (Step::None, _) => from.clone(),
         (Step::Major, 1..) => Version::new(major + 1, 0, 0),
         (Step::Major, 0) | (Step::Minor, 1..) => Version::new(major, minor + 1, 0),
@@ -51,10 +55,8 @@ pub fn least(from: &Version, step: Step) -> Version {
 #[must_use]
 pub fn is_enough(from: &Version, to: &Version, step: Step) -> bool {
     let core = |version: &Version| (version.major, version.minor, version.patch);
-    // A pre-release of what comes next may be followed by another one, and by the version itself.
-    let continues = !from.pre.is_empty() && core(to) == core(from) && step != Step::Major;
     let moves = step == Step::None || to > from;
-    moves && (continues || core(to) >= core(&least(from, step)))
+    moves && core(to) >= core(&least(from, step))
 }
 
 #[cfg(test)]
@@ -97,8 +99,13 @@ mod tests {
     #[test]
     fn pre_releases_lead_to_their_version() {
         assert!(enough("1.1.0", "2.0.0-rc.1", Step::Major));
-        assert!(enough("2.0.0-rc.1", "2.0.0-rc.2", Step::Minor));
-        assert!(enough("2.0.0-rc.1", "2.0.0", Step::Minor));
-        assert!(!enough("2.0.0-rc.2", "2.0.0-rc.1", Step::Patch));
+        for step in [Step::Patch, Step::Minor, Step::Major] {
+            assert!(enough("2.0.0-rc.1", "2.0.0-rc.2", step), "{step:?}");
+            assert!(enough("2.0.0-rc.1", "2.0.0", step), "{step:?}");
+            assert!(!enough("2.0.0-rc.2", "2.0.0-rc.1", step), "{step:?}");
+            assert!(!enough("2.0.0-rc.1", "2.0.0-rc.1", step), "{step:?}");
+            assert!(!enough("2.0.0-rc.1", "1.9.0", step), "{step:?}");
+        }
+        assert!(!enough("2.0.0", "2.0.1-rc.1", Step::Major));
     }
 }

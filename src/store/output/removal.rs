@@ -73,11 +73,23 @@ pub(super) fn remove_if_there(path: &Path) -> Result<(), FileError> {
 
 /// A list of files comes from a disk: it must not lead out of its directory.
 pub(super) fn stays_inside(name: &str) -> bool {
-    Path::new(name).components().all(|part| matches!(part, Component::Normal(_)))
+    let inside = |part| matches!(part, Component::Normal(_));
+    !name.is_empty() && Path::new(name).components().all(inside)
 }
 
 /// The directory of an output and those below it that hold its files.
 pub(super) fn directories(root: &Path, files: &BTreeMap<String, Digest>) -> BTreeSet<PathBuf> {
     let below = files.keys().filter_map(|name| root.join(name).parent().map(Path::to_owned));
     below.chain([root.to_owned()]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_a_list_are_those_of_files_inside() {
+        assert!(["a", "a/b.bin"].into_iter().all(stays_inside));
+        assert!(!["", ".", "..", "../a", "a/../..", "/a"].into_iter().any(stays_inside));
+    }
 }
