@@ -427,7 +427,8 @@ fn a_split_without_a_sound_record_is_an_error() {
 /// A manifest whose index would lose a record, or leads out of the directory, though its checksum fits.
 #[test]
 fn an_index_that_contradicts_itself_is_refused() {
-    let changes: [(&str, fn(&mut Value)); 5] = [
+    type Change = fn(&mut Value);
+    let changes: [(&str, Change); 5] = [
         ("does not come after", |manifest| {
             manifest["records"][1]["id"] = manifest["records"][0]["id"].clone();
         }),
