@@ -58,11 +58,12 @@ fn load(
     ids: &[TileId],
     config: &RlConfig,
 ) -> Result<Vec<Arc<World>>, ReadError> {
-    let load = |&id| {
-        let (record, grids) = dataset.record_with_grids(id)?;
-        Ok(Arc::new(World::new(&record, &grids, config)))
-    };
-    ids.par_iter().map(load).collect()
+    ids.par_iter().map(|&id| load_one(dataset, id, config)).collect()
+}
+
+fn load_one(dataset: &Dataset, id: TileId, config: &RlConfig) -> Result<Arc<World>, ReadError> {
+    let (record, grids) = dataset.record_with_grids(id)?;
+    Ok(Arc::new(World::new(&record, &grids, config)))
 }
 
 /// All records of a split that can be read, with their numbers, and what is wrong with the others.
@@ -72,14 +73,14 @@ fn load_sound(
     config: &RlConfig,
 ) -> Result<(Numbered, BTreeMap<TileId, String>), ReadError> {
     let ids = dataset.ids_of(split);
-    let load = |(number, &id): (usize, _)| match load(dataset, &[id], config) {
-        Ok(maps) => Ok((maps.into_iter().map(|map| (number as u32, map)).collect(), None)),
-        Err(error) if error.is_damage() => Ok((Vec::new(), Some((id, error.to_string())))),
+    let load = |(number, &id): (usize, _)| match load_one(dataset, id, config) {
+        Ok(map) => Ok((Some((number as u32, map)), None)),
+        Err(error) if error.is_damage() => Ok((None, Some((id, error.to_string())))),
         Err(error) => Err(error),
     };
     let loaded = ids.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
-    let (maps, damaged): (Vec<Numbered>, Vec<_>) = loaded.into_iter().unzip();
-    Ok((maps.concat(), damaged.into_iter().flatten().collect()))
+    let (maps, damaged): (Vec<_>, Vec<_>) = loaded.into_iter().unzip();
+    Ok((maps.into_iter().flatten().collect(), damaged.into_iter().flatten().collect()))
 }
 
 /// Why maps cannot be had.

@@ -41,6 +41,16 @@ pub(super) fn sync_file(path: &Path) -> Result<(), FileError> {
     sync.map_err(FileError::new("sync", path))
 }
 
+/// Removes a file; one that is not there is as good.
+pub(super) fn remove_if_there(path: &Path) -> Result<(), FileError> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(FileError::new("remove", path)(error))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Whether an open file is still the one at a path: its owner may have removed it.
 pub(super) fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;

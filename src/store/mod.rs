@@ -20,6 +20,7 @@ pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
 pub use output::{
     BuildMode, Gap, MANIFEST, OutputDir, OutputError, Part, SUMS, Task, TaskReport, parse_sums,
+    stays_inside,
 };
 #[cfg(feature = "remote")]
 pub use remote::{Remote, RemoteError};

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::atomic::{sync_file, write_unsynced};
+use super::atomic::{remove_if_there, sync_file, write_unsynced};
 use super::{Digest, sha256_bytes, sha256_file, write_atomic};
 use crate::error::FileError;
 use crate::progress::Progress;
@@ -37,9 +37,8 @@ pub use error::{Gap, OutputError};
 pub use part::{BuildMode, Part, Task, TaskReport};
 
 use journal::{Done, Journal, Line, Noted, Plan, lock, write_line};
-use removal::{
-    directories, remove_finished, remove_if_there, remove_inside, remove_leftovers, stays_inside,
-};
+pub use removal::stays_inside;
+use removal::{directories, remove_finished, remove_inside, remove_leftovers};
 
 /// Name of a stage's manifest.
 pub const MANIFEST: &str = "manifest.json";

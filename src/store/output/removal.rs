@@ -7,7 +7,7 @@ use super::journal::Journal;
 use super::{MANIFEST, SUMS, parse_sums};
 use crate::error::FileError;
 use crate::store::Digest;
-use crate::store::atomic::TEMPORARY_PREFIX;
+use crate::store::atomic::{TEMPORARY_PREFIX, remove_if_there};
 
 /// Removes a finished output: the manifest first, so that nobody takes the rest for whole,
 /// and the list of its files last, so that an interrupted removal can go on. What an interrupted
@@ -62,17 +62,9 @@ pub(super) fn remove_leftovers(
     Ok(())
 }
 
-pub(super) fn remove_if_there(path: &Path) -> Result<(), FileError> {
-    match std::fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(FileError::new("remove", path)(error))
-        }
-        _ => Ok(()),
-    }
-}
-
 /// A list of files comes from a disk: it must not lead out of its directory.
-pub(super) fn stays_inside(name: &str) -> bool {
+#[must_use]
+pub fn stays_inside(name: &str) -> bool {
     let inside = |part| matches!(part, Component::Normal(_));
     !name.is_empty() && Path::new(name).components().all(inside)
 }

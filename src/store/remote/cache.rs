@@ -3,13 +3,13 @@
 use std::collections::HashSet;
 use std::fs::{File, OpenOptions};
 use std::io::{Seek, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::SystemTime;
 
 use super::is_sha256;
 use crate::error::FileError;
-use crate::store::atomic::is_at;
+use crate::store::atomic::{is_at, remove_if_there};
 use crate::store::{Digest, sha256_file, sha256_reader};
 
 /// How a download is called that is not whole yet: `<SHA-256>.<bytes>.part`, so that others know how
@@ -52,7 +52,7 @@ impl Cache {
         };
         if !self.checked().contains(&digest.sha256) {
             if sha256_file(&path).ok().as_ref() != Some(digest) {
-                remove(&path)?;
+                remove_if_there(&path)?;
                 return Ok(None);
             }
             self.checked().insert(digest.sha256.clone());
@@ -145,7 +145,7 @@ impl Part {
 
     /// Gives up what was downloaded.
     pub(super) fn discard(self) -> Result<(), FileError> {
-        remove(&self.path)
+        remove_if_there(&self.path)
     }
 }
 
@@ -179,17 +179,8 @@ impl Download {
         if writer.as_ref().is_some_and(|file| file.try_lock().is_err()) {
             return Ok(false);
         }
-        remove(&self.path)?;
+        remove_if_there(&self.path)?;
         Ok(true)
-    }
-}
-
-fn remove(path: &Path) -> Result<(), FileError> {
-    match std::fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(FileError::new("remove", path)(error))
-        }
-        _ => Ok(()),
     }
 }
 
