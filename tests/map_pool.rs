@@ -3,18 +3,23 @@
 mod pipeline;
 
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 
-use holescout::config::{RlConfig, Split};
+use holescout::config::{OnDamage, RlConfig, Split};
 use holescout::dataset::Dataset;
 use holescout::rl::{MapPool, MapSource, World, load_sample, load_split};
 
-use pipeline::{HELSINKI, assert_says};
+use pipeline::{HELSINKI, assert_says, copy_of, read, write};
 
 const HELD: usize = 3;
 
+fn open(root: &Path) -> Arc<Dataset> {
+    Arc::new(Dataset::open(root).expect("opened"))
+}
+
 fn dataset() -> Arc<Dataset> {
-    Arc::new(Dataset::open(&HELSINKI.dataset).expect("opened"))
+    open(&HELSINKI.dataset)
 }
 
 fn source(dataset: &Arc<Dataset>, maps: usize, seed: u64) -> MapSource {
@@ -82,6 +87,47 @@ fn a_restored_pool_goes_on_as_the_saved_one() {
     for _ in 0..10 {
         assert_eq!(numbers(&restored), numbers(&saved));
         assert_eq!(restored.refresh().expect("read"), saved.refresh().expect("read"));
+    }
+}
+
+/// A pool of the whole split and one of a part leave out the same, and say so.
+#[test]
+fn damaged_maps_are_left_out_on_request_and_named() {
+    let (_dir, root, _) = copy_of(&HELSINKI.dataset);
+    let sound = open(&root);
+    let all = load_split(&sound, Split::Train, &RlConfig::default()).expect("loaded");
+    let (shard, ids) = &sound.shards_of(Split::Train)[0];
+    let mut bytes = read(&root.join(&shard.file));
+    bytes[1000] ^= 0x10;
+    write(&root.join(&shard.file), bytes);
+
+    let dataset = open(&root);
+    let number = all.iter().position(|map| map.id() == ids[0]).expect("in the split") as u32;
+    for held in [all.len(), HELD] {
+        let error = source(&dataset, held, 0).fill().map(|mut pool| {
+            (0..all.len()).find_map(|_| pool.refresh().err()).expect("found in the first epoch")
+        });
+        let (Ok(error) | Err(error)) = error;
+        assert_says(&error.to_string(), &[&shard.file, "frame 0"]);
+
+        let source = || source(&dataset, held, 0).on_damage(OnDamage::Quarantine);
+        let mut pool = source().fill().expect("the others");
+        for _ in 0..2 * all.len() {
+            assert!(!numbers(&pool).contains(&number));
+            pool.refresh().expect("the others");
+        }
+        assert_eq!(pool.quarantined().keys().collect::<Vec<_>>(), [&ids[0]], "{held} held");
+        assert_says(&pool.quarantined()[&ids[0]], &[&shard.file, "frame 0"]);
+        let restored = source().restore(&pool.state()).expect("read").expect("the same");
+        assert_eq!(numbers(&restored), numbers(&pool));
+    }
+
+    for (shard, _) in dataset.shards_of(Split::Train) {
+        write(&root.join(&shard.file), "no shard");
+    }
+    for held in [all.len(), HELD] {
+        let error = source(&open(&root), held, 0).on_damage(OnDamage::Quarantine).fill();
+        assert_says(&error.expect_err("nothing is left").to_string(), &["train/shard-"]);
     }
 }
 

@@ -66,21 +66,30 @@ fn load_one(dataset: &Dataset, id: TileId, config: &RlConfig) -> Result<Arc<Worl
     Ok(Arc::new(World::new(&record, &grids, config)))
 }
 
-/// All records of a split that can be read, with their numbers, and what is wrong with the others.
+/// All records of a split that can be read, with their numbers, and what is wrong with the others; an
+/// error if that is all of them.
 fn load_sound(
     dataset: &Dataset,
     split: Split,
     config: &RlConfig,
 ) -> Result<(Numbered, BTreeMap<TileId, String>), ReadError> {
     let ids = dataset.ids_of(split);
-    let load = |(number, &id): (usize, _)| match load_one(dataset, id, config) {
-        Ok(map) => Ok((Some((number as u32, map)), None)),
-        Err(error) if error.is_damage() => Ok((None, Some((id, error.to_string())))),
-        Err(error) => Err(error),
-    };
-    let loaded = ids.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
-    let (maps, damaged): (Vec<_>, Vec<_>) = loaded.into_iter().unzip();
-    Ok((maps.into_iter().flatten().collect(), damaged.into_iter().flatten().collect()))
+    let loaded: Vec<_> = ids.par_iter().map(|&id| load_one(dataset, id, config)).collect();
+    let (mut sound, mut damaged, mut last) = (Vec::new(), BTreeMap::new(), None);
+    for (number, (id, map)) in (0..).zip(ids.into_iter().zip(loaded)) {
+        match map {
+            Ok(map) => sound.push((number, map)),
+            Err(error) if error.is_damage() => {
+                damaged.insert(id, error.to_string());
+                last = Some(error);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    match last {
+        Some(error) if sound.is_empty() => Err(error),
+        _ => Ok((sound, damaged)),
+    }
 }
 
 /// Why maps cannot be had.
