@@ -18,7 +18,7 @@ use serde_json::json;
 #[derive(Debug, Parser)]
 struct Arguments {
     dataset: PathBuf,
-    split: String,
+    split: Split,
     #[arg(long, default_value_t = 5)]
     epochs: usize,
     #[arg(long, default_value = "2")]
@@ -34,12 +34,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let asked = Arguments::parse();
     let begin = Instant::now();
     let dataset = Arc::new(Dataset::open(&asked.dataset)?);
-    let split = Split::ALL.into_iter().find(|split| split.name() == asked.split);
     let memory_bytes = asked.memory_mb << 20;
     let options = LoaderOptions { threads: asked.threads, memory_bytes, ..LoaderOptions::new(1) };
     let decode = |_: Record, grids: Grids| Arc::new(grids);
-    let split = split.ok_or("a split is train, val or test")?;
-    let mut loader = Loader::new(&dataset, split, options, 0, decode)?;
+    let mut loader = Loader::new(&dataset, asked.split, options, 0, decode)?;
     let records = loader.ids().len();
     let (mut first_sample_s, mut ends) = (0.0, vec![0.0]);
     for _ in 0..asked.epochs {

@@ -22,7 +22,7 @@ struct Arguments {
     /// Directory, http(s):// or s3:// (feature remote)
     location: PathBuf,
     /// train, val or test
-    split: String,
+    split: Split,
     /// Records to print [default: an epoch]
     #[arg(long)]
     take: Option<usize>,
@@ -70,7 +70,6 @@ fn stream(asked: Arguments) -> Result<(), Box<dyn std::error::Error>> {
         ..RemoteConfig::default()
     };
     let dataset = Arc::new(Dataset::open_with(&asked.location, &remote)?);
-    let split = Split::ALL.into_iter().find(|split| split.name() == asked.split);
     let options = LoaderOptions {
         threads: asked.threads,
         block: asked.block,
@@ -78,12 +77,11 @@ fn stream(asked: Arguments) -> Result<(), Box<dyn std::error::Error>> {
         on_damage: if asked.quarantine { OnDamage::Quarantine } else { OnDamage::Error },
         ..LoaderOptions::new(asked.seed)
     };
-    let split = split.ok_or("a split is train, val or test")?;
     let digest = |record: Record, _: Grids| {
         let arrays = [&record.height_m[..], &record.rsrp_dbm, &record.mask].concat();
         (record.id, sha256_bytes(&arrays).sha256)
     };
-    let mut loader = Loader::new(&dataset, split, options, asked.cursor, digest)?;
+    let mut loader = Loader::new(&dataset, asked.split, options, asked.cursor, digest)?;
     let epoch = loader.ids().len() / asked.world.get() as usize;
     for _ in 0..asked.take.unwrap_or(epoch) {
         let loaded = loader.next().ok_or("a loader has no end")??;

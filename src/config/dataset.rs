@@ -120,6 +120,20 @@ impl Split {
     }
 }
 
+impl std::str::FromStr for Split {
+    type Err = UnknownSplit;
+
+    fn from_str(name: &str) -> Result<Self, UnknownSplit> {
+        let found = Self::ALL.into_iter().find(|split| split.name() == name);
+        found.ok_or_else(|| UnknownSplit(name.to_owned()))
+    }
+}
+
+/// No split has this name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no split: expected train, val or test")]
+pub struct UnknownSplit(pub String);
+
 impl std::fmt::Display for Split {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.name())

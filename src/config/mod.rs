@@ -12,7 +12,7 @@ mod tiles;
 mod train;
 
 pub use dataset::{
-    HeightDownsampling, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig,
+    HeightDownsampling, RsrpDownsampling, ShardConfig, Split, SplitArea, SplitConfig, UnknownSplit,
 };
 pub use remote::RemoteConfig;
 pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
