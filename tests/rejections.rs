@@ -750,6 +750,19 @@ fn files_that_are_no_maps_are_listed_and_left_alone() {
     pipeline::assert_same_files(&tree(&import.maps()), &before);
 }
 
+/// A map on a disk that is not there is not a map less.
+#[cfg(unix)]
+#[test]
+fn a_link_that_leads_nowhere_is_an_error() {
+    let import = Import::new();
+    write_good(&import.map("good.npz"), &SITE.ids[0]);
+    let link = |name: &str| std::os::unix::fs::symlink("/nowhere/map.npz", import.map(name));
+    link(".#notes.txt").expect("linked");
+    assert_eq!(import.rejected(), [], "a link that no map has the name of is nobody's map");
+    link("gone.npz").expect("linked");
+    assert_says(&run(&mut import.command()).refused(), &["cannot open", "gone.npz"]);
+}
+
 #[test]
 fn the_names_of_files_need_not_be_plain() {
     let import = Import::new();

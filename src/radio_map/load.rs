@@ -9,6 +9,7 @@ use super::array::{Layout, positions};
 use super::complete::{ArrayFacts, Supplement};
 use super::metadata::{RadioMapMetadata, parse_object};
 use super::rejection::{Rejection, RejectionCode};
+use crate::error::FileError;
 use crate::manifest::ValueKind;
 use crate::store::{DType, MAX_METADATA, NpyError, NpzError, NpzReader, read_npy};
 
@@ -378,13 +379,23 @@ fn check_type(dtype: DType, kind: ValueKind) -> Result<(), Rejection> {
 }
 
 /// The files of a directory that may be maps, and the names of the others; both sorted.
-pub(super) fn list(directory: &Path) -> std::io::Result<(Vec<PathBuf>, Vec<String>)> {
-    let mut paths = std::fs::read_dir(directory)?
-        .map(|entry| entry.map(|entry| entry.path()))
-        .collect::<std::io::Result<Vec<_>>>()?;
+///
+/// # Errors
+/// [`FileError`] when the directory cannot be listed, or what has the name of a map cannot be looked at:
+/// a link that leads nowhere is a map that would be missed.
+pub(super) fn list(directory: &Path) -> Result<(Vec<PathBuf>, Vec<String>), FileError> {
+    let mut paths = std::fs::read_dir(directory)
+        .and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>, _>>())
+        .map_err(FileError::new("list", directory))?;
     paths.sort();
-    let (maps, others): (Vec<_>, Vec<_>) =
-        paths.into_iter().filter(|path| path.is_file()).partition(|path| may_be_map(path));
+    let (mut maps, mut others) = (Vec::new(), Vec::new());
+    for path in paths {
+        if !may_be_map(&path) {
+            others.extend(path.is_file().then_some(path));
+        } else if std::fs::metadata(&path).map_err(FileError::new("open", &path))?.is_file() {
+            maps.push(path);
+        }
+    }
     // A .json beside a map is its metadata.
     let is_sidecar = |path: &PathBuf| {
         let beside = |extension| maps.binary_search(&path.with_extension(extension)).is_ok();

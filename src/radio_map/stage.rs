@@ -113,7 +113,7 @@ pub fn import_maps(
         load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
     let scenes = job.scenes.map(|scenes| read_scenes(scenes, &tiles_digest)).transpose()?;
     let (scenes, scenes_digest) = scenes.unzip();
-    let (paths, ignored) = list(job.maps).map_err(FileError::new("list", job.maps))?;
+    let (paths, ignored) = list(job.maps)?;
     if paths.is_empty() {
         return Err(ImportError::NoMaps { directory: job.maps.to_owned() });
     }
