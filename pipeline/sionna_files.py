@@ -3,8 +3,6 @@
 Nothing here loads Sionna, so that a run that finds all its maps there ends in an instant.
 """
 
-import contextlib
-import fcntl
 import hashlib
 import importlib.metadata
 import json
@@ -13,7 +11,6 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +23,7 @@ SCHEMA = "radio_map.v1"
 SCENE_SCHEMA = "scene.v1"
 PART = ".part"
 # What `holescout scenes` leaves while it is not finished.
-JOURNAL = ".holescout-build.jsonl"
+JOURNALS = ".holescout-build*.jsonl"
 
 Metadata = dict[str, Any]
 
@@ -203,8 +200,8 @@ def read_scene(folder: Path, options: Options) -> Scene:
 
 def find_scenes(root: Path, only: list[str], limit: int | None) -> list[Path]:
     """Folders of scenes, by name."""
-    if (root / JOURNAL).exists():
-        raise InvalidInput(f"{root} is not finished ({JOURNAL} is there): run `holescout scenes` again, it resumes")
+    if not (root / "manifest.json").exists() and (journal := next(root.glob(JOURNALS), None)):
+        raise InvalidInput(f"{root} is not finished ({journal.name} is there): run `holescout scenes` again, it resumes")
     folders = {path.parent.name: path.parent for path in sorted(root.glob("*/scene.json"))}
     if not folders:
         raise InvalidInput(f"{root}: expected <id>/scene.json, found none; make scenes with `holescout scenes`")
@@ -250,9 +247,9 @@ def is_traced(path: Path, metadata: Metadata, overwrite: bool) -> bool:
     return not differences
 
 
-def write_map(path: Path, path_gain: np.ndarray, metadata: Metadata) -> None:
+def write_map(path: Path, path_gain: np.ndarray, metadata: Metadata, part_suffix: str = PART) -> None:
     """Writes a map so that at any time the old one, none, or the whole new one is there."""
-    part = path.with_name(f".{path.name}{PART}")
+    part = path.with_name(f".{path.name}{part_suffix}")
     text = json.dumps(metadata, sort_keys=True, ensure_ascii=False)
     with part.open("wb") as file:
         np.savez_compressed(file, path_gain=path_gain, meta_json=np.frombuffer(text.encode(), dtype=np.uint8))
@@ -267,27 +264,5 @@ def sync_folder(folder: Path) -> None:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def remove_parts(folder: Path) -> None:
-    """Removes what a killed run, or a full disk, left half-written."""
-    for part in folder.glob(f".*.npz{PART}"):
-        part.unlink()
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Creates a folder of maps and keeps other runs out of it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        remove_parts(folder)
-        yield
-        remove_parts(folder)
-    except BlockingIOError as error:
-        raise InvalidInput(f"{folder}: another run writes to it; wait for its end, or give another --out") from error
     finally:
         os.close(descriptor)

@@ -32,7 +32,7 @@ What was found in sionna-rt 2.2.0, and why it is called as it is:
 It does not judge whether a map is plausible: `holescout import-rsrp` does.
 
 Exit status: 0 all maps are there; 1 a scene failed, the others are done; 2 wrong usage; 3 nothing was traced, for an input or
-an existing map does not fit.
+an existing map does not fit. Tasks (`--task-count`) say 42 instead of 2 and 3: permanent, do not retry.
 """
 
 import argparse
@@ -48,17 +48,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 from sionna_files import (
+    PART,
     SIONNA_VERSION,
     InvalidInput,
     Options,
     Scene,
     find_scenes,
     is_traced,
-    locked,
     read_scene,
     sionna_version,
     write_map,
 )
+from sionna_tasks import PERMANENT, Busy, Task, add_arguments, locked, task_of
 
 VARIANTS = ("cuda_ad_mono_polarized", "llvm_ad_mono_polarized")
 # With LLVM 15 Dr.Jit aborts while it compiles the solver.
@@ -226,7 +227,12 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--variant", choices=VARIANTS, help="Mitsuba's variant [CUDA if there is a device, else LLVM]")
     parser.add_argument("--overwrite", action="store_true", help="replace maps of other scenes or parameters")
     parser.add_argument("--json", action="store_true", help="end standard output with one line for scripts")
+    add_arguments(parser)
     parsed = parser.parse_args(arguments)
+    try:
+        parsed.task = task_of(parsed)
+    except ValueError as error:
+        parser.error(str(error))
     if max(parsed.samples or 0, parsed.max_samples) > MOST_SAMPLES:
         parser.error(f"Sionna counts rays in 32 bits: at most {MOST_SAMPLES} samples")
     if parsed.max_depth < 0 or parsed.seed < 0:
@@ -265,7 +271,10 @@ def reason(error: Exception) -> str:
 def sort_out(arguments: argparse.Namespace, options: Options) -> tuple[list[Scene], int, dict[str, str]]:
     """Scenes to be traced, the number of maps that are there already, and the scenes that cannot be read, with reasons."""
     todo, kept, failed = [], 0, {}
-    for folder in find_scenes(arguments.scenes, arguments.only, arguments.limit):
+    folders = find_scenes(arguments.scenes, arguments.only, arguments.limit)
+    if arguments.task:
+        folders = folders[arguments.task.index::arguments.task.count]
+    for folder in folders:
         try:
             scene = read_scene(folder, options)
         except FAILURES as error:
@@ -279,11 +288,12 @@ def sort_out(arguments: argparse.Namespace, options: Options) -> tuple[list[Scen
     return todo, kept, failed
 
 
-def trace_all(todo: list[Scene], out: Path, variant: str | None) -> tuple[str | None, dict[str, str]]:
+def trace_all(todo: list[Scene], arguments: argparse.Namespace) -> tuple[str | None, dict[str, str]]:
     """Traces scenes; returns Mitsuba's variant, and the scenes that failed, with reasons."""
     if not todo:
         return None, {}
-    used = start_sionna(variant)
+    used = start_sionna(arguments.variant)
+    part = f".{arguments.task}{PART}" if arguments.task else PART
     say(f"tracing {len(todo)} scenes with sionna-rt {SIONNA_VERSION} ({used})")
     tracer = Tracer()
     failed: dict[str, str] = {}
@@ -293,7 +303,7 @@ def trace_all(todo: list[Scene], out: Path, variant: str | None) -> tuple[str | 
         if scene.note:
             say(f"{scene.ident}: {scene.note}")
         try:
-            write_map(out / f"{scene.ident}.npz", tracer.trace(scene), scene.metadata)
+            write_map(arguments.out / f"{scene.ident}.npz", tracer.trace(scene), scene.metadata, part)
         except FAILURES as error:
             failed[scene.ident] = reason(error)
             say(f"{scene.ident} failed: {failed[scene.ident]}")
@@ -303,18 +313,34 @@ def trace_all(todo: list[Scene], out: Path, variant: str | None) -> tuple[str | 
     return used, failed
 
 
+def read_command_line(arguments: list[str] | None) -> argparse.Namespace:
+    """As `parse_arguments`, but wrong usage is permanent for a task."""
+    words = sys.argv[1:] if arguments is None else arguments
+    try:
+        return parse_arguments(arguments)
+    except SystemExit as end:
+        is_task = any(word.startswith("--task-count") for word in words)
+        raise SystemExit(PERMANENT if is_task and end.code else end.code) from end
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command and returns its exit status."""
-    parsed = parse_arguments(arguments)
+    parsed = read_command_line(arguments)
     begin = time.monotonic()
     try:
         sionna_version()
-        with locked(parsed.out):
+        with locked(parsed.out, parsed.task):
             todo, kept, failed = sort_out(parsed, options_of(parsed))
-            variant, failed_tracing = trace_all(todo, parsed.out, parsed.variant)
+            if parsed.merge and todo:
+                some = ", ".join(scene.ident for scene in todo[:10]) + (", ..." if len(todo) > 10 else "")
+                say(f"error: {len(todo)} scenes have no map: {some}; run the tasks again, they go on where they were")
+                return 1
+            variant, failed_tracing = trace_all(todo, parsed)
     except InvalidInput as error:
         say(f"error: {error}")
-        return 3
+        if parsed.task_count is None:
+            return 3
+        return 1 if isinstance(error, Busy) else PERMANENT
     traced = len(todo) - len(failed_tracing)
     failed |= failed_tracing
     seconds = time.monotonic() - begin
@@ -322,6 +348,8 @@ def main(arguments: list[str] | None = None) -> int:
     if parsed.json:
         summary = {"stage": "sionna_trace", "traced": traced, "kept": kept, "failed": failed, "variant": variant,
                    "seconds": round(seconds, 3)}
+        if parsed.task:
+            summary |= {"task": parsed.task.index, "of": parsed.task.count}
         print(json.dumps(summary, sort_keys=True))
     return 1 if failed else 0
 

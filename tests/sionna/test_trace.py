@@ -171,6 +171,48 @@ def test_a_killed_run_leaves_whole_maps_only(tmp_path: Path) -> None:
     assert sorted(path.name for path in maps.iterdir()) == ["a.npz", "b.npz", "c.npz"]
 
 
+def test_tasks_trace_every_scene_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes, maps = tmp_path / "scenes", tmp_path / "maps"
+    for name in "abc":
+        write_scene(scenes / name, [STATION])
+    tasks = [scenes, "--out", maps, *FEW, "--task-count", 2]
+    assert "3 scenes have no map: a, b, c" in trace(*tasks, "--merge", status=1)
+    # As other runs leave it that were killed while they wrote; that of a task which may still run is left alone.
+    for part in (".a.npz.task-0-of-2.part", ".b.npz.task-1-of-2.part", ".task-1-of-2.lock"):
+        (maps / part).write_bytes(b"half")
+    assert "2 maps traced, 0 kept" in trace(*tasks, "--task-index", 0)
+    assert sorted(path.name for path in maps.iterdir()) == [".b.npz.task-1-of-2.part", ".task-1-of-2.lock", "a.npz", "c.npz"]
+    assert "1 scenes have no map: b;" in trace(*tasks, "--merge", status=1)
+    monkeypatch.setenv("JOB_COMPLETION_INDEX", "1")
+    assert "1 maps traced, 0 kept" in trace(*tasks)
+    assert "0 maps traced, 3 kept" in trace(*tasks, "--merge")
+    assert sorted(path.name for path in maps.iterdir()) == ["a.npz", "b.npz", "c.npz"]
+    for path in maps.iterdir():
+        load(path)
+
+
+def test_tasks_say_whether_trying_again_may_help(traced: Path, tmp_path: Path) -> None:
+    root = copy(traced, tmp_path)
+    tasks = [root / "scenes", "--out", root / "maps", *FEW, "--task-count", 2]
+    for flags, why in [(["--task-index", 2], "task 2 of 2: tasks are counted from 0 to 1"), ([], "JOB_COMPLETION_INDEX"),
+                       (["--task-index", "one"], "invalid int"), (["--task-index", 0, "--overwrite"], "--overwrite"),
+                       (["--task-index", 0, "--max-depth", 3], "was traced otherwise")]:
+        assert why in trace(*tasks, *flags, status=42)
+    assert "need --task-count" in trace(root / "scenes", "--out", root / "maps", "--merge", status=2)
+
+    def busy(path: Path, kind: int, index: int, status: int) -> None:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT if path.suffix == ".lock" else os.O_RDONLY)
+        fcntl.flock(descriptor, kind)
+        told = trace(*tasks, "--task-index", index, status=status)
+        assert ("another run writes to it" in told) == bool(status)
+        os.close(descriptor)
+
+    busy(root / "maps", fcntl.LOCK_EX, 0, 1)
+    busy(root / "maps", fcntl.LOCK_SH, 0, 0)
+    busy(root / "maps/.task-0-of-2.lock", fcntl.LOCK_EX, 0, 1)
+    busy(root / "maps/.task-0-of-2.lock", fcntl.LOCK_EX, 1, 0)
+
+
 def test_open_ground_is_traced(tmp_path: Path) -> None:
     ground = re.sub(r'  <shape type="ply" id="mesh-buildings">.*?</shape>\n', "", XML, flags=re.DOTALL)
     write_scene(tmp_path / "scenes/open", [STATION], [], ground)
