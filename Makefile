@@ -214,7 +214,7 @@ test: test-rust test-torch test-report test-release test-remote
 
 .PHONY: test-rust
 test-rust: | tools
-	cargo test --locked
+	cargo test --locked --features remote
 
 # What needs libtorch: its lints, its unit tests, training end to end, losses and gradients against PyTorch. The wheel of
 # PyTorch is that of libtorch; empty libraries stand in for those of CUDA that it would ask for.
@@ -269,7 +269,7 @@ browser:
 .PHONY: test-real
 test-real: $(BIN) $(VENV)/.installed llvm
 	@test -d $(DATA)/osm -a -d $(DATA)/rsrp || { echo "no data in $(DATA): set DATA to the directory with osm/ and rsrp/" >&2; exit 1; }
-	cargo build --release --locked --example utm_points
+	cargo build --locked --features remote --example utm_points
 	$(PYTHON) fixtures/geometry/make_pbf.py --check
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python $(REAL)/sionna_scenes.py

@@ -122,7 +122,7 @@ def test_every_cell_equals_gdal(data: Path, tmp_path: Path, extract: str, spacin
 
 def test_utm_agrees_with_proj(tmp_path: Path) -> None:
     points = tmp_path / "points.csv"
-    points.write_bytes(subprocess.check_output([ROOT / "target/release/examples/utm_points"]))
+    points.write_bytes(subprocess.check_output([ROOT / "target/debug/examples/utm_points"]))
     print(script("utm_pyproj.py", "--points", points))
 
 
