@@ -40,8 +40,8 @@ fn wait_for(path: &Path, child: &mut Child) {
     }
 }
 
-/// Starts a stage and kills it when its journal has so many lines, before it ends.
-fn kill_midway(stage: &mut Command, out: &Path, lines: usize) {
+/// Starts a stage and stops it, with SIGSTOP, when its journal has so many lines, before it ends.
+fn stop_midway(stage: &mut Command, out: &Path, lines: usize) -> Child {
     let journal = out.join(JOURNAL);
     let written = || fs::read_to_string(&journal).map_or(0, |text| text.lines().count());
     // A busy machine may let the stage end before this process looks again.
@@ -50,13 +50,22 @@ fn kill_midway(stage: &mut Command, out: &Path, lines: usize) {
         while written() < lines && child.try_wait().expect("known").is_none() {
             sleep(Duration::from_micros(50));
         }
-        kill(child);
-        if journal.exists() && !out.join("manifest.json").exists() {
-            return;
+        // Reaped, if it has ended: then there is nothing to stop.
+        if child.try_wait().expect("known").is_none() {
+            signal("STOP", &child);
+            if journal.exists() && !out.join("manifest.json").exists() {
+                return child;
+            }
+            kill(child);
         }
         fs::remove_dir_all(out).expect("removed");
     }
     unreachable!("the stage always ended first");
+}
+
+/// Starts a stage and kills it when its journal has so many lines, before it ends.
+fn kill_midway(stage: &mut Command, out: &Path, lines: usize) {
+    kill(stop_midway(stage, out, lines));
 }
 
 /// What is left must be refused unless it is whole, and completed by running again.
@@ -239,9 +248,8 @@ fn a_running_build_is_not_disturbed() {
     ];
     for (number, attempt) in attempts.into_iter().enumerate() {
         let out = dir.path().join(format!("dataset-{number}"));
-        let mut first = start(&mut slow(&out));
-        wait_for(&out.join(JOURNAL), &mut first);
-        signal("STOP", &first);
+        // With the first line the journal is locked; merely there, it need not be yet.
+        let mut first = stop_midway(&mut slow(&out), &out, 1);
         let second = run(attempt(&mut slow(&out)));
         signal("CONT", &first);
         let status = first.wait().expect("ended");
