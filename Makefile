@@ -216,14 +216,14 @@ test: test-rust test-torch test-report test-release test-remote
 test-rust: | tools
 	cargo test --locked --features remote
 
-# What needs libtorch: its lints, its unit tests, training end to end, losses and gradients against PyTorch. The wheel of
-# PyTorch is that of libtorch; empty libraries stand in for those of CUDA that it would ask for.
+# What needs libtorch, with the other feature beside it: lints, unit tests, training end to end, losses and gradients against
+# PyTorch. The wheel of PyTorch is that of libtorch; empty libraries stand in for those of CUDA that it would ask for.
 .PHONY: test-torch
 test-torch: dataset $(LIBTORCH)/.installed | tools-torch
-	$(TORCH) cargo clippy --locked --features torch --all-targets -- -D warnings
-	$(TORCH) cargo test --locked --features torch --lib rl::agent
-	$(TORCH) cargo test --locked --features torch --test train
-	$(TORCH) cargo build --locked --features torch --bin holescout --example ddqn_reference
+	$(TORCH) cargo clippy --locked --features torch,remote --all-targets -- -D warnings
+	$(TORCH) cargo test --locked --features torch,remote --lib rl::agent
+	$(TORCH) cargo test --locked --features torch,remote --test train
+	$(TORCH) cargo build --locked --features torch,remote --bin holescout --example ddqn_reference
 	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
 	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
 	  HOLESCOUT=$(abspath target/debug/holescout) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset \
@@ -271,8 +271,8 @@ test-real: $(BIN) $(VENV)/.installed llvm
 	@test -d $(DATA)/osm -a -d $(DATA)/rsrp || { echo "no data in $(DATA): set DATA to the directory with osm/ and rsrp/" >&2; exit 1; }
 	cargo build --locked --features remote --example utm_points
 	$(PYTHON) fixtures/geometry/make_pbf.py --check
-	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python $(REAL)/sionna_scenes.py
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 
 $(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch release remote))
 	$(call venv,$(VENV))

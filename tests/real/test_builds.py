@@ -4,8 +4,7 @@ those of an undisturbed build. Run by `make test-real`.
 The undisturbed builds are the whole extract (1,262 tiles), all 523 maps, and shards of 32 records, so that there is more than
 one item to resume. Kills are SIGKILL after random times (seeded; how far a run is by then depends on the machine) and count
 only if the process was still running. They come singly and in chains, in which the run that resumes is killed as well. Of 50, 12
-hit `rasterise`, whose kills, and whose runs with several numbers of threads, cover the middle of the city (the whole extract
-is read for it): with all of it this would take twice as long. 19 each hit `import-rsrp` and `shard`, of the whole city.
+hit `rasterise`, 19 each `import-rsrp` and `shard`.
 """
 
 import hashlib
@@ -21,8 +20,6 @@ import pytest
 
 from test_real import data, holescout, path_from  # noqa: F401
 
-# West, south, east, north of the middle of San Jose.
-MIDDLE = "--bbox=-121.92,37.31,-121.86,37.36"
 # Kills in a row, before the run that must end, for each directory.
 CHAINS = {
     "rasterise": [1, 1, 1, 4, 5],
@@ -72,8 +69,7 @@ def stages(data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, St
     osm = data / "osm" / "sanjose_buildings.osm.pbf"
     tiles, rsrp = root / "tiles", root / "rsrp"
     return {
-        "whole city": undisturbed(tiles, "rasterise", "--osm", osm),
-        "rasterise": undisturbed(root / "middle", "rasterise", "--osm", osm, MIDDLE),
+        "rasterise": undisturbed(tiles, "rasterise", "--osm", osm),
         "import-rsrp": undisturbed(rsrp, "import-rsrp", "--maps", data / "rsrp" / "sanjose_4m", "--tiles", tiles),
         "shard": undisturbed(
             root / "dataset", "shard", "--tiles", tiles, "--rsrp", rsrp, "--records-per-shard", "32"
@@ -127,7 +123,7 @@ def test_threads_change_nothing(stages: dict[str, Stage], tmp_path: Path, name: 
     assert digests(tmp_path / "out") == stages[name].files
 
 
-@pytest.mark.parametrize("name", ["whole city", "import-rsrp", "shard"])
+@pytest.mark.parametrize("name", CHAINS)
 @pytest.mark.parametrize("tasks", [1, 4])
 def test_tasks_change_nothing(stages: dict[str, Stage], tmp_path: Path, name: str, tasks: int) -> None:
     stage, out = stages[name], tmp_path / "out"
