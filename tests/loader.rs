@@ -282,7 +282,15 @@ impl Drop for Live {
 fn memory_bounds_what_is_decoded_ahead() {
     // Arrays of 9 bytes a cell, once as they are and once in a record with its other fields.
     let record = 2 * 121 * 121 * 9 + (8 << 10);
-    for (memory, window) in [(0, 1), (record - 20_000, 1), (record, 1), (5 * record, 5)] {
+    let thread = 1 << 20;
+    for (memory, window) in [
+        (0, 1),
+        (thread + record - 20_000, 1),
+        (thread + record, 1),
+        (thread + 5 * record, 5),
+        (3 * thread + 12 * record, 12),
+        (2 * thread + 2 * record - 1, 5),
+    ] {
         let (live, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
         let decode = {
             let (live, most) = (Arc::clone(&live), Arc::clone(&most));

@@ -39,6 +39,9 @@ const CELL_BYTES: usize = 4 + 4 + 1;
 const TWO: NonZero<usize> = NonZero::new(2).expect("not zero");
 /// Bytes of a record besides its arrays, generously.
 const OTHER_BYTES: usize = 8 << 10;
+/// Bytes that a thread needs besides records: Zstandard's tables, a packed record, seek tables, and what
+/// the allocator holds ready for it. Measured, see `benches/RESULTS.md`.
+const THREAD_BYTES: usize = 1 << 20;
 
 /// Why a loader cannot begin.
 #[derive(Debug, thiserror::Error)]
@@ -166,15 +169,17 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         }
         let cells = dataset.manifest().cells as usize;
         let record = cells.saturating_mul(cells).saturating_mul(2 * CELL_BYTES) + OTHER_BYTES;
-        let fitting = options.memory_bytes / record;
-        let threads = options.threads.get();
+        let affordable = options.memory_bytes / (THREAD_BYTES + record);
+        let threads = NonZero::new(affordable).unwrap_or(NonZero::<usize>::MIN);
+        let threads = threads.min(options.threads).get();
+        let fitting = options.memory_bytes.saturating_sub(threads * THREAD_BYTES) / record;
         let all = plan.ids.len();
         // What is kept needs a place; so does what the threads have in hand.
         let keeps = options.keep && fitting >= all + threads;
         let kept = keeps.then(|| Arc::new(Kept::new(all)));
         let window = NonZero::new(if keeps { fitting - all } else { fitting });
         let window = window.unwrap_or(NonZero::<usize>::MIN);
-        let threads = options.threads.min(window);
+        let threads = threads.min(window.get());
         let cursor = options.share.first(cursor);
         let queue = Arc::new(Queue::new(window));
         let (epoch, on_damage) = (plan.order.epoch(plan.order.split(cursor).0), options.on_damage);
@@ -191,7 +196,7 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
             waited: Duration::ZERO,
         };
         let decode = Arc::new(decode);
-        for _ in 0..threads.get() {
+        for _ in 0..threads {
             let open = open_shards / threads;
             let plan = Arc::clone(&loader.plan);
             let worker = Worker::new(dataset, plan, cursor, open, &decode, loader.kept.as_ref());

@@ -55,10 +55,11 @@ pub struct LoaderOptions {
     pub block: Option<NonZero<usize>>,
     /// The part of each epoch that this process loads.
     pub share: Share,
-    /// Most threads that decode.
+    /// Most threads that decode; fewer if the memory does not hold so many.
     pub threads: NonZero<usize>,
-    /// Memory for records that are being decoded, wait to be taken or are kept, in bytes. Each is
-    /// taken to need twice its arrays and a little more; one is always allowed.
+    /// Memory for threads, and for records that are being decoded, wait to be taken or are kept, in
+    /// bytes. A thread is taken to need a MiB, a record twice its arrays and a little more; one of
+    /// each is always allowed.
     pub memory_bytes: usize,
     /// Whether decoded records are kept, and cloned for each epoch, if `memory_bytes` holds all of
     /// the split.
