@@ -55,7 +55,8 @@ def task_of(parsed: argparse.Namespace) -> Task | None:
         return None
     if parsed.overwrite:
         raise ValueError("--overwrite cannot be used with --task-count: remove MAPS before the first task")
-    count = number(COUNT_VARIABLES, "--task-count N") if parsed.task_count == "auto" else int(parsed.task_count)
+    is_auto = parsed.task_count == "auto"
+    count = number(COUNT_VARIABLES, "--task-count N") if is_auto else whole(parsed.task_count, "--task-count")
     if count < 1:
         raise ValueError(f"--task-count {count}: expected 1 or more")
     if parsed.merge:
@@ -73,7 +74,15 @@ def number(names: tuple[str, ...], flag: str) -> int:
     found = next((name for name in names if name in os.environ), None)
     if found is None:
         raise ValueError(f"{flag} is not given, and none of {', '.join(names)} is set")
-    return int(os.environ[found])
+    return whole(os.environ[found], found)
+
+
+def whole(text: str, name: str) -> int:
+    """A whole number that was given as `name`."""
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"{name} is {text!r}, expected a number") from None
 
 
 @contextlib.contextmanager

@@ -59,7 +59,7 @@ from sionna_files import (
     sionna_version,
     write_map,
 )
-from sionna_tasks import PERMANENT, Busy, Task, add_arguments, locked, task_of
+from sionna_tasks import PERMANENT, Busy, add_arguments, locked, task_of
 
 VARIANTS = ("cuda_ad_mono_polarized", "llvm_ad_mono_polarized")
 # With LLVM 15 Dr.Jit aborts while it compiles the solver.

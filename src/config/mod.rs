@@ -109,6 +109,15 @@ mod tests {
     use crate::units::Dbm;
 
     #[test]
+    fn splits_are_read_from_their_names() {
+        for split in Split::ALL {
+            assert_eq!(split.name().parse(), Ok(split));
+        }
+        let error = "Train".parse::<Split>().expect_err("no split");
+        assert_eq!(error.to_string(), "\"Train\" is no split: expected train, val or test");
+    }
+
+    #[test]
     fn the_defaults_are_valid_and_give_the_papers_grid() {
         let config = Config::default();
         config.validate().expect("defaults are valid");

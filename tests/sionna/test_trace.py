@@ -198,6 +198,7 @@ def test_tasks_say_whether_trying_again_may_help(traced: Path, tmp_path: Path) -
                        (["--task-index", "one"], "invalid int"), (["--task-index", 0, "--overwrite"], "--overwrite"),
                        (["--task-index", 0, "--max-depth", 3], "was traced otherwise")]:
         assert why in trace(*tasks, *flags, status=42)
+    assert "--task-count is 'many', expected a number" in trace(*tasks[:-1], "many", status=42)
     assert "need --task-count" in trace(root / "scenes", "--out", root / "maps", "--merge", status=2)
 
     def busy(path: Path, kind: int, index: int, status: int) -> None:
