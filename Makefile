@@ -265,7 +265,7 @@ browser:
 	    apt-get update -qq && apt-get install -qqy --no-install-recommends chromium; \
 	  else echo "Chromium is missing: install it, or set CHROMIUM to its path" >&2; exit 1; fi; }
 
-# Fails, and does not pass, where the data are missing.
+# Fails, and does not pass, where the data are missing. The example is the one that `test-rust` builds.
 .PHONY: test-real
 test-real: $(BIN) $(VENV)/.installed llvm
 	@test -d $(DATA)/osm -a -d $(DATA)/rsrp || { echo "no data in $(DATA): set DATA to the directory with osm/ and rsrp/" >&2; exit 1; }

@@ -62,7 +62,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "samples_per_s": samples as f64 / begin.elapsed().as_secs_f64(),
         "threads": asked.threads,
         "in_memory": loader.keeps(),
+        "peak_kib": peak_kib(),
     });
     println!("{report}");
     Ok(())
+}
+
+/// The most memory that this process ever held, where the system tells (Linux).
+fn peak_kib() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    peak.trim().strip_suffix(" kB")?.parse().ok()
 }

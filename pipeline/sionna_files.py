@@ -21,7 +21,6 @@ import numpy as np
 SIONNA_VERSION = "2.2.0"
 SCHEMA = "radio_map.v1"
 SCENE_SCHEMA = "scene.v1"
-PART = ".part"
 # What `holescout scenes` leaves while it is not finished.
 JOURNALS = ".holescout-build*.jsonl"
 
@@ -247,7 +246,7 @@ def is_traced(path: Path, metadata: Metadata, overwrite: bool) -> bool:
     return not differences
 
 
-def write_map(path: Path, path_gain: np.ndarray, metadata: Metadata, part_suffix: str = PART) -> None:
+def write_map(path: Path, path_gain: np.ndarray, metadata: Metadata, part_suffix: str) -> None:
     """Writes a map so that at any time the old one, none, or the whole new one is there."""
     part = path.with_name(f".{path.name}{part_suffix}")
     text = json.dumps(metadata, sort_keys=True, ensure_ascii=False)

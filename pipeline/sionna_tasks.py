@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sionna_files import PART, InvalidInput
+from sionna_files import InvalidInput
 
+PART = ".part"
 # What tells the engine of a cluster that trying again cannot help.
 PERMANENT = 42
 INDEX_VARIABLES = ("SLURM_ARRAY_TASK_ID", "JOB_COMPLETION_INDEX", "AWS_BATCH_JOB_ARRAY_INDEX")
@@ -85,6 +86,11 @@ def whole(text: str, name: str) -> int:
         raise ValueError(f"{name} is {text!r}, expected a number") from None
 
 
+def part_suffix(task: Task | None) -> str:
+    """What the names of half-written maps end in: tasks have names of their own."""
+    return f".{task}{PART}" if task else PART
+
+
 @contextlib.contextmanager
 def locked(folder: Path, task: Task | None) -> Iterator[None]:
     """Creates a folder of maps and keeps other runs out of it; tasks only those of the same task and runs of all scenes."""
@@ -94,7 +100,7 @@ def locked(folder: Path, task: Task | None) -> Iterator[None]:
         if task is None:
             leftovers = [f".*.npz*{PART}", ".task-*.lock"]
         else:
-            leftovers = [f".*.npz.{task}{PART}"]
+            leftovers = [f".*.npz{part_suffix(task)}"]
             lock = folder / f".{task}.lock"
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT)
             hold(held, descriptor, folder, fcntl.LOCK_EX)

@@ -48,7 +48,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 from sionna_files import (
-    PART,
     SIONNA_VERSION,
     InvalidInput,
     Options,
@@ -59,7 +58,7 @@ from sionna_files import (
     sionna_version,
     write_map,
 )
-from sionna_tasks import PERMANENT, Busy, add_arguments, locked, task_of
+from sionna_tasks import PERMANENT, Busy, add_arguments, locked, part_suffix, task_of
 
 VARIANTS = ("cuda_ad_mono_polarized", "llvm_ad_mono_polarized")
 # With LLVM 15 Dr.Jit aborts while it compiles the solver.
@@ -293,7 +292,7 @@ def trace_all(todo: list[Scene], arguments: argparse.Namespace) -> tuple[str | N
     if not todo:
         return None, {}
     used = start_sionna(arguments.variant)
-    part = f".{arguments.task}{PART}" if arguments.task else PART
+    part = part_suffix(arguments.task)
     say(f"tracing {len(todo)} scenes with sionna-rt {SIONNA_VERSION} ({used})")
     tracer = Tracer()
     failed: dict[str, str] = {}

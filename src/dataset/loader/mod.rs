@@ -170,8 +170,7 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         let cells = dataset.manifest().cells as usize;
         let record = cells.saturating_mul(cells).saturating_mul(2 * CELL_BYTES) + OTHER_BYTES;
         let affordable = options.memory_bytes / (THREAD_BYTES + record);
-        let threads = NonZero::new(affordable).unwrap_or(NonZero::<usize>::MIN);
-        let threads = threads.min(options.threads).get();
+        let threads = options.threads.get().min(affordable.max(1));
         let fitting = options.memory_bytes.saturating_sub(threads * THREAD_BYTES) / record;
         let all = plan.ids.len();
         // What is kept needs a place; so does what the threads have in hand.
@@ -179,7 +178,6 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         let kept = keeps.then(|| Arc::new(Kept::new(all)));
         let window = NonZero::new(if keeps { fitting - all } else { fitting });
         let window = window.unwrap_or(NonZero::<usize>::MIN);
-        let threads = threads.min(window.get());
         let cursor = options.share.first(cursor);
         let queue = Arc::new(Queue::new(window));
         let (epoch, on_damage) = (plan.order.epoch(plan.order.split(cursor).0), options.on_damage);
