@@ -57,13 +57,14 @@ fn text(manifest: &TilesManifest) -> String {
         .sum();
     let mut text = format!(
         "{} tiles in EPSG:{}, {dropped} more were too empty (tiles.csv lists them)\n\
-         {} buildings, {} parts, {} elevated ones that do not block\n\
+         {} buildings, {} parts, {} raised ones (of {} objects with building tags)\n\
          heights: {} from height, {} from levels, {} guessed\n",
         manifest.tiles.len(),
         manifest.epsg,
         buildings.outlines,
         buildings.parts,
-        buildings.elevated,
+        buildings.raised,
+        buildings.tagged,
         buildings.from_height,
         buildings.from_levels,
         buildings.from_default,
@@ -75,6 +76,7 @@ fn text(manifest: &TilesManifest) -> String {
             Action::Skipped => "skipped",
             Action::Repaired => "repaired",
             Action::LeftOut => "left out",
+            Action::Noted => "noted",
         };
         writeln!(text, "{what}: {}", codes.join(", ")).expect("writing to a string cannot fail");
     }

@@ -565,9 +565,9 @@ fn maps_of_other_tiles_are_refused() {
     assert!(!out.exists(), "nothing was begun");
     // Stages are not mixed up either.
     let message = run(&mut shard(&HELSINKI.rsrp, &HELSINKI.rsrp, &out)).refused();
-    assert_says(&message, &["rsrp.v1", "tiles.v1", "holescout rasterise"]);
+    assert_says(&message, &["rsrp.v1", "tiles.v2", "holescout rasterise"]);
     let message = run(&mut shard(&HELSINKI.tiles, &HELSINKI.tiles, &out)).refused();
-    assert_says(&message, &["tiles.v1", "rsrp.v1", "holescout import-rsrp"]);
+    assert_says(&message, &["tiles.v2", "rsrp.v1", "holescout import-rsrp"]);
 }
 
 #[test]

@@ -195,7 +195,7 @@ fn what_cannot_be_evaluated_is_refused_with_the_mend() {
 
     let mut tiles = holescout("evaluate");
     tiles.arg("--dataset").arg(&HELSINKI.tiles).arg("--out").arg(&out);
-    assert_says(&run(&mut tiles).refused(), &["tiles.v1", "holescout shard"]);
+    assert_says(&run(&mut tiles).refused(), &["tiles.v2", "holescout shard"]);
 
     let unknown = run(&mut evaluate(&out, &["--methods", "rsp,psr"]));
     assert_eq!(unknown.code, Some(2), "{unknown:?}");

@@ -158,7 +158,7 @@ fn what_does_not_exist_is_named_with_what_does() {
     let message = run(holescout("inspect").arg(dir.path())).refused();
     assert_says(&message, &["manifest.json", "holescout shard"]);
     let message = run(holescout("inspect").arg(&HELSINKI.tiles)).refused();
-    assert_says(&message, &["tiles.v1", "dataset.v1"]);
+    assert_says(&message, &["tiles.v2", "dataset.v1"]);
 }
 
 #[test]

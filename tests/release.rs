@@ -302,7 +302,7 @@ fn what_cannot_be_released_is_refused_and_nothing_is_written() {
     let said = run(command.env("SOURCE_DATE_EPOCH", "yesterday")).refused();
     assert_says(&said, &["SOURCE_DATE_EPOCH", "yesterday", "seconds"]);
     let said = run(&mut release(&HELSINKI.tiles, VERSION, &out)).refused();
-    assert_says(&said, &["tiles.v1", "holescout shard"]);
+    assert_says(&said, &["tiles.v2", "holescout shard"]);
     assert!(!out.exists());
 }
 
@@ -528,7 +528,7 @@ fn versions_are_held_against_the_changes() {
 #[test]
 fn what_is_no_dataset_cannot_be_compared() {
     let said = run(holescout("diff").arg(&HELSINKI.tiles).arg(&HELSINKI.dataset)).refused();
-    assert_says(&said, &["tiles.v1"]);
+    assert_says(&said, &["tiles.v2"]);
     let (_dir, copy, _) = copy_of(&HELSINKI.dataset);
     fs::remove_file(copy.join("SHA256SUMS")).expect("removed");
     let said = run(holescout("diff").arg(&copy).arg(&HELSINKI.dataset)).refused();

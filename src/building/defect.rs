@@ -17,6 +17,8 @@ pub enum Action {
     Repaired,
     /// The object is sound but is not meant to appear.
     LeftOut,
+    /// The object appears as it is; but not everywhere that one might look for it.
+    Noted,
 }
 
 impl Action {
@@ -27,6 +29,7 @@ impl Action {
             Self::Skipped => "skipped",
             Self::Repaired => "repaired",
             Self::LeftOut => "left_out",
+            Self::Noted => "noted",
         }
     }
 }
@@ -38,6 +41,10 @@ impl Action {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Defect {
+    /// Building tags on a node, which has no outline.
+    Node,
+    /// Building tags on a relation that is neither a multipolygon nor a building.
+    NotAnArea,
     /// A way with building tags whose ends do not meet.
     OpenWay,
     /// A way that uses nodes the extract lacks.
@@ -62,26 +69,39 @@ pub enum Defect {
     OverlappingOuters,
     /// An inner ring that lies in no outer ring; dropped.
     OrphanInner,
+    /// An inner ring that crosses an outer one; the outer ring less the inner one is filled.
+    CrossingInner,
     /// A ring whose role contradicts where it lies; the place decides.
     RoleMismatch,
+    /// Members whose role is neither outer nor inner nor empty; they are no part of the outline.
+    ForeignRole,
     /// A way or ring that a relation lists twice; taken once.
     DuplicateMember,
     /// Consecutive points at the same place; taken once.
     DuplicatePoints,
-    /// An object that an earlier extract of the same run already holds; the first is taken.
+    /// A way that goes round its ring more than once; taken once.
+    RingWalkedTwice,
+    /// An object that is there more than once; the whole copy is taken.
     DuplicateObject,
     /// Too far from the UTM zone for it to be projected.
     NotProjectable,
     /// A height that is not positive, too large or not finite; the next source is taken.
     HeightImplausible,
-    /// A height that is no length; the next source is taken.
+    /// A height that is no length, or may be two; the next source is taken.
     HeightUnparsable,
+    /// A height below the object's own bottom; the next source is taken.
+    TopBelowBottom,
     /// `building=no`, underground, planned or gone.
     NotABuilding,
     /// An outer way of a building relation, itself tagged as a building; the relation stands for it.
     CoveredByRelation,
-    /// Begins above the flight height, or stands on posts: does not block by itself.
-    Elevated,
+    /// A building relation whose outline carries building tags itself; the outline stands for it.
+    CoveredByOutline,
+    /// Begins above the flight height, or stands on posts, outside of every outline: one can pass
+    /// below, so its cells stay open where nothing else stands.
+    Raised,
+    /// So small or thin that it covers the centre of no cell.
+    NoCell,
     /// Building parts are switched off in the configuration.
     PartsDisabled,
 }
@@ -112,17 +132,27 @@ impl Defect {
             Self::HeightUnparsable => "height_unparsable",
             Self::NotABuilding => "not_a_building",
             Self::CoveredByRelation => "covered_by_relation",
-            Self::Elevated => "elevated",
+            Self::Node => "node",
+            Self::NotAnArea => "not_an_area",
+            Self::CrossingInner => "crossing_inner",
+            Self::ForeignRole => "foreign_role",
+            Self::RingWalkedTwice => "ring_walked_twice",
+            Self::TopBelowBottom => "top_below_bottom",
+            Self::CoveredByOutline => "covered_by_outline",
+            Self::Raised => "raised",
+            Self::NoCell => "no_cell",
             Self::PartsDisabled => "parts_disabled",
         }
     }
 
-    /// What is done about it. A relation that loses all rings to a repair is skipped with
-    /// [`Defect::NoOuterRing`] in addition.
+    /// What is done about an object for it. A ring of a relation is dropped and the relation repaired
+    /// for what skips a way; without any ring left it is skipped for [`Defect::NoOuterRing`].
     #[must_use]
     pub fn action(self) -> Action {
         match self {
-            Self::OpenWay
+            Self::Node
+            | Self::NotAnArea
+            | Self::OpenWay
             | Self::MissingNodes
             | Self::TooFewPoints
             | Self::ZeroArea
@@ -135,26 +165,52 @@ impl Defect {
             | Self::SelfIntersecting
             | Self::OverlappingOuters
             | Self::OrphanInner
+            | Self::CrossingInner
             | Self::RoleMismatch
+            | Self::ForeignRole
             | Self::DuplicateMember
             | Self::DuplicatePoints
+            | Self::RingWalkedTwice
             | Self::DuplicateObject
             | Self::HeightImplausible
-            | Self::HeightUnparsable => Action::Repaired,
-            Self::NotABuilding | Self::CoveredByRelation | Self::Elevated | Self::PartsDisabled => {
-                Action::LeftOut
-            }
+            | Self::HeightUnparsable
+            | Self::TopBelowBottom => Action::Repaired,
+            Self::NotABuilding
+            | Self::CoveredByRelation
+            | Self::CoveredByOutline
+            | Self::PartsDisabled => Action::LeftOut,
+            Self::Raised | Self::NoCell => Action::Noted,
         }
     }
 }
 
-/// One defect of one object.
+/// One defect of one object. An object that does not appear has exactly one whose action says so.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Problem {
     /// The object.
     pub object: ObjectId,
     /// What is wrong.
     pub defect: Defect,
+    /// What was done about it.
+    pub action: Action,
+}
+
+impl Problem {
+    /// A defect that decides about its object, or is mended.
+    #[must_use]
+    pub fn new(object: ObjectId, defect: Defect) -> Self {
+        Self { object, defect, action: defect.action() }
+    }
+
+    /// A defect of a piece of an object: the object does not stand or fall with it.
+    #[must_use]
+    pub fn of_piece(object: ObjectId, defect: Defect) -> Self {
+        let action = match defect.action() {
+            Action::Skipped => Action::Repaired,
+            other => other,
+        };
+        Self { object, defect, action }
+    }
 }
 
 #[cfg(test)]

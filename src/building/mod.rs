@@ -1,12 +1,16 @@
 //! Buildings: footprint, height and where the height comes from.
 
+mod city;
 mod defect;
 mod height;
+mod prism;
 mod tags;
 
 pub use defect::{Action, Defect, Problem};
+pub use city::{City, Named};
 pub use height::{HeightSource, parse_length, parse_levels};
-pub use tags::{Attributes, Classified, Kind, classify};
+pub use prism::{Limits, Prism};
+pub use tags::{Attributes, BUILDING, BUILDING_PART, Classified, Kind, classify, told_height};
 
 use std::fmt;
 
@@ -17,21 +21,25 @@ use geo::MultiPolygon;
 pub enum ObjectId {
     /// A closed way.
     Way(i64),
-    /// A multipolygon relation.
+    /// A relation.
     Relation(i64),
+    /// A node: never a building, but it may carry the tags of one.
+    Node(i64),
 }
 
 impl fmt::Display for ObjectId {
-    /// OSM's short notation: `w123`, `r45`.
+    /// OSM's short notation: `w123`, `r45`, `n6`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Way(id) => write!(f, "w{id}"),
             Self::Relation(id) => write!(f, "r{id}"),
+            Self::Node(id) => write!(f, "n{id}"),
         }
     }
 }
 
-/// One building, or one part of a building.
+/// One building, or one part of a building. A relation whose rings have heights of their own
+/// makes one for each height.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Building {
     /// Where it comes from.
@@ -40,6 +48,6 @@ pub struct Building {
     /// covers it; each polygon is taken with the even-odd rule over all its rings, so a
     /// self-intersecting ring and overlapping polygons are both well-defined.
     pub footprint: MultiPolygon<f64>,
-    /// What the tags say.
+    /// What is known about it.
     pub attributes: Attributes,
 }

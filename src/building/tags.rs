@@ -1,8 +1,13 @@
 //! From OSM tags to a building's attributes.
 
 use super::height::{HeightSource, parse_length, parse_levels};
-use super::{Defect, defect::Action};
+use super::Defect;
 use crate::config::BuildingsConfig;
+
+/// The key of a whole building.
+pub const BUILDING: &str = "building";
+/// The key of a part of a building.
+pub const BUILDING_PART: &str = "building:part";
 
 /// Values of `building` and `building:part` for what is not there, or not yet, or no more.
 /// (Lifecycle *prefixes* such as `demolished:building` are other keys and never match.)
@@ -17,19 +22,19 @@ pub enum Kind {
     Part,
 }
 
-/// What the tags say about a building.
+/// What is known about a building.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attributes {
     /// Whole building or part.
     pub kind: Kind,
-    /// Height of the top over the ground, in metres.
+    /// Height of the top over the ground, in metres; never below the bottom.
     pub height_m: f32,
     /// Where the height comes from.
     pub source: HeightSource,
     /// Height of the bottom over the ground, in metres.
     pub min_height_m: f32,
-    /// Begins above the flight height or is an open roof: does not block by itself.
-    pub elevated: bool,
+    /// Begins above the flight height or is an open roof: does not block where nothing stands below.
+    pub raised: bool,
 }
 
 /// The verdict on an object's tags.
@@ -46,62 +51,70 @@ pub enum Classified {
 /// Classifies an object by its tags; `tag` gives the value of a key.
 #[must_use]
 pub fn classify<'a>(tag: impl Fn(&str) -> Option<&'a str>, config: &BuildingsConfig) -> Classified {
-    let (kind, value) = match (tag("building"), tag("building:part")) {
-        (Some(value), _) => (Kind::Outline, value),
-        (None, Some(value)) => (Kind::Part, value),
+    let is_there = |value: &&str| !NOT_THERE.contains(value);
+    let (kind, value) = match (tag(BUILDING), tag(BUILDING_PART)) {
         (None, None) => return Classified::Unrelated,
+        (Some(value), None) => (Kind::Outline, value),
+        // No building of its own, but a part of one.
+        (Some(value), Some(part)) if !is_there(&value) && is_there(&part) => (Kind::Part, part),
+        (Some(value), Some(_)) => (Kind::Outline, value),
+        (None, Some(value)) => (Kind::Part, value),
     };
-    if NOT_THERE.contains(&value) || tag("location") == Some("underground") {
+    if !is_there(&value) || tag("location") == Some("underground") {
         return Classified::LeftOut(Defect::NotABuilding);
     }
     if kind == Kind::Part && !config.parts {
         return Classified::LeftOut(Defect::PartsDisabled);
     }
     let mut defects = Vec::new();
-    let (height_m, source) = height(&tag, value, config, &mut defects);
-    let min_height_m = min_height(&tag, config);
-    let elevated = value == "roof" || min_height_m > config.flight_height_m;
-    if elevated {
-        defects.push(Defect::Elevated);
-    }
-    debug_assert!(defects.iter().all(|defect| defect.action() != Action::Skipped));
-    Classified::Building(
-        Attributes {
-            kind,
-            height_m: height_m as f32,
-            source,
-            min_height_m: min_height_m as f32,
-            elevated,
-        },
-        defects,
-    )
+    let min_height_m = min_height(&tag, config, &mut defects);
+    let (height_m, source) = told_height(&tag, min_height_m, config, &mut defects)
+        .unwrap_or_else(|| (guess(value, min_height_m, config), HeightSource::Default));
+    let raised = value == "roof" || min_height_m > config.flight_height_m;
+    let attributes = Attributes {
+        kind,
+        height_m: height_m as f32,
+        source,
+        min_height_m: min_height_m as f32,
+        raised,
+    };
+    Classified::Building(attributes, defects)
 }
 
-/// Height of the top: `height`, else levels and roof, else a guess.
-fn height<'a>(
+/// Height of the top in metres as an object tells it itself: `height`, else levels and roof. What
+/// would end below the bottom is refused.
+///
+/// Also for ways that carry no building tag: a relation inherits the height that was left on its
+/// outer way.
+pub fn told_height<'a>(
     tag: &impl Fn(&str) -> Option<&'a str>,
-    value: &str,
+    min_height_m: f64,
     config: &BuildingsConfig,
     defects: &mut Vec<Defect>,
-) -> (f64, HeightSource) {
+) -> Option<(f64, HeightSource)> {
     // The bounds hold for the stored type too: nothing positive may become 0 as float32.
     let plausible = |height: f64| (height as f32) > 0.0 && height <= config.max_height_m;
-    if let Some(text) = tag("height") {
-        match parse_length(text) {
-            Some(height) if plausible(height) => return (height, HeightSource::Height),
+    let mut judged = |height: Option<f64>| {
+        match height {
+            Some(height) if plausible(height) && height >= min_height_m => return Some(height),
+            Some(height) if plausible(height) => defects.push(Defect::TopBelowBottom),
             Some(_) => defects.push(Defect::HeightImplausible),
             None => defects.push(Defect::HeightUnparsable),
         }
+        None
+    };
+    if let Some(height) = tag("height").and_then(|text| judged(parse_length(text))) {
+        return Some((height, HeightSource::Height));
     }
-    if let Some(text) = tag("building:levels") {
-        match parse_levels(text).map(|levels| levels * config.level_height_m + roof(tag, config)) {
-            Some(height) if plausible(height) => return (height, HeightSource::Levels),
-            Some(_) => defects.push(Defect::HeightImplausible),
-            None => defects.push(Defect::HeightUnparsable),
-        }
-    }
-    let guess = config.default_heights_m.get(value).copied().unwrap_or(config.default_height_m);
-    (guess, HeightSource::Default)
+    let levels = parse_levels(tag("building:levels")?);
+    let height = levels.map(|levels| levels * config.level_height_m + roof(tag, config));
+    judged(height).map(|height| (height, HeightSource::Levels))
+}
+
+/// A height by type of building in metres; what begins high is at least a level high.
+fn guess(value: &str, min_height_m: f64, config: &BuildingsConfig) -> f64 {
+    let by_type = config.default_heights_m.get(value).copied().unwrap_or(config.default_height_m);
+    if min_height_m > 0.0 { by_type.max(min_height_m + config.level_height_m) } else { by_type }
 }
 
 /// Height of the roof above the levels, 0 if unknown.
@@ -118,16 +131,24 @@ fn roof<'a>(tag: &impl Fn(&str) -> Option<&'a str>, config: &BuildingsConfig) ->
 }
 
 /// Height of the bottom: `min_height`, else `building:min_level`, else 0.
-fn min_height<'a>(tag: &impl Fn(&str) -> Option<&'a str>, config: &BuildingsConfig) -> f64 {
-    let plausible = |height: &f64| *height >= 0.0 && *height <= config.max_height_m;
-    tag("min_height")
-        .and_then(parse_length)
-        .filter(plausible)
-        .or_else(|| {
-            let level = tag("building:min_level").and_then(parse_levels)?;
-            Some(level * config.level_height_m).filter(plausible)
-        })
-        .unwrap_or(0.0)
+fn min_height<'a>(
+    tag: &impl Fn(&str) -> Option<&'a str>,
+    config: &BuildingsConfig,
+    defects: &mut Vec<Defect>,
+) -> f64 {
+    let mut judged = |height: Option<f64>| {
+        let plausible = |height: &f64| (0.0..=config.max_height_m).contains(height);
+        if height.is_none() {
+            defects.push(Defect::HeightUnparsable);
+        }
+        height.filter(plausible)
+    };
+    let told = tag("min_height").and_then(|text| judged(parse_length(text)));
+    told.or_else(|| {
+        let levels = parse_levels(tag("building:min_level")?);
+        judged(levels.map(|levels| levels * config.level_height_m))
+    })
+    .unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -185,6 +206,22 @@ mod tests {
                 &[Defect::HeightImplausible],
             ),
             (&[("building", "yes"), ("height", "tall")], 6.0, Default, &[Defect::HeightUnparsable]),
+            (&[("building", "yes"), ("height", "1,200 m")], 6.0, Default, &[Defect::HeightUnparsable]),
+            (&[("building:part", "yes"), ("min_height", "20")], 23.0, Default, &[]),
+            (&[("building:part", "yes"), ("building:min_level", "1")], 6.0, Default, &[]),
+            (
+                &[("building:part", "yes"), ("height", "8"), ("min_height", "20")],
+                23.0,
+                Default,
+                &[Defect::TopBelowBottom],
+            ),
+            (
+                &[("building:part", "yes"), ("building:levels", "2"), ("building:min_level", "5")],
+                18.0,
+                Default,
+                &[Defect::TopBelowBottom],
+            ),
+            (&[("building:part", "yes"), ("height", "8"), ("min_height", "8")], 8.0, Height, &[]),
         ];
         for (tags, height, source, defects) in cases {
             let (attributes, found) = building(tags);
@@ -194,12 +231,22 @@ mod tests {
     }
 
     #[test]
-    fn what_begins_above_the_flight_height_is_elevated() {
-        assert!(building(&[("building:part", "yes"), ("min_height", "5")]).0.elevated);
-        assert!(building(&[("building:part", "yes"), ("building:min_level", "1")]).0.elevated);
-        assert!(building(&[("building", "roof"), ("height", "6")]).0.elevated);
-        assert!(!building(&[("building", "yes"), ("min_height", "2")]).0.elevated);
-        assert!(!building(&[("building", "yes"), ("min_height", "nonsense")]).0.elevated);
+    fn what_begins_above_the_flight_height_is_raised() {
+        assert!(building(&[("building:part", "yes"), ("min_height", "5")]).0.raised);
+        assert!(building(&[("building:part", "yes"), ("building:min_level", "1")]).0.raised);
+        assert!(building(&[("building", "roof"), ("height", "6")]).0.raised);
+        assert!(!building(&[("building", "yes"), ("min_height", "2")]).0.raised);
+        assert!(!building(&[("building", "yes"), ("min_height", "nonsense")]).0.raised);
+    }
+
+    #[test]
+    fn an_object_may_be_a_part_of_a_building_and_no_building_itself() {
+        let (attributes, _) = building(&[("building", "no"), ("building:part", "yes")]);
+        assert_eq!(attributes.kind, Kind::Part);
+        let (attributes, _) = building(&[("building", "yes"), ("building:part", "no")]);
+        assert_eq!(attributes.kind, Kind::Outline);
+        let (attributes, _) = building(&[("building", "yes"), ("building:part", "yes")]);
+        assert_eq!(attributes.kind, Kind::Outline);
     }
 
     #[test]

@@ -158,7 +158,7 @@ impl Utm {
         ])
     }
 
-    /// Easting and northing in metres to longitude and latitude in degrees.
+    /// Easting and northing in metres to longitude and latitude in degrees, the longitude within ±180.
     #[must_use]
     pub fn inverse(self, easting: f64, northing: f64) -> [f64; 2] {
         let e2 = F * (2.0 - F);
@@ -181,7 +181,13 @@ impl Utm {
                 / ((1.0 - e2) * root);
         }
         let lambda = libm::atan2(sinh_eta1, cos_xi1);
-        [self.central_meridian() + lambda.to_degrees(), libm::atan(tau).to_degrees()]
+        let lon = self.central_meridian() + lambda.to_degrees();
+        let lon = match lon {
+            lon if lon > 180.0 => lon - 360.0,
+            lon if lon < -180.0 => lon + 360.0,
+            lon => lon,
+        };
+        [lon, libm::atan(tau).to_degrees()]
     }
 
     fn false_northing(self) -> f64 {
@@ -242,6 +248,11 @@ mod tests {
         assert_eq!(Utm::of_place(0.0, 85.0), Err(CrsError::Latitude(85.0)));
         assert_eq!(Utm::from_epsg(3857), Err(CrsError::NotUtm(3857)));
         assert_eq!(Utm::from_zone(0, true), None);
+        // Zone 1 reaches over the antimeridian, and back.
+        let zone1 = Utm::from_epsg(32701).expect("a UTM code");
+        let [e, n] = zone1.forward(179.98, -16.8).expect("in reach");
+        let [lon, lat] = zone1.inverse(e, n);
+        assert!((lon - 179.98).abs() < 1e-12 && (lat + 16.8).abs() < 1e-12, "{lon} {lat}");
         let zone10 = Utm::from_epsg(32610).expect("a UTM code");
         assert_eq!(zone10.forward(0.0, 10.0), None, "123° away from the central meridian");
     }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use geo::{BoundingRect, Contains, Coord, LineString, MultiPolygon, Point, Polygon, Rect, coord};
 
+use super::antimeridian;
 use crate::error::{Fault, FileError, HasFault};
 
 /// An area in longitude and latitude, or everything the extract holds.
@@ -21,8 +22,8 @@ pub enum Area {
 pub enum AreaError {
     /// The bounding box is empty or not on the globe.
     #[error(
-        "bounding box {0:?} is no area: expected west,south,east,north in degrees, \
-         west < east within ±180 and south < north within ±90"
+        "bounding box {0:?} is no area: expected west,south,east,north in degrees, longitudes \
+         within ±180 (west > east reaches across the antimeridian), south < north within ±90"
     )]
     Bbox([f64; 4]),
     /// The file could not be read.
@@ -54,21 +55,36 @@ impl HasFault for AreaError {
 }
 
 impl Area {
-    /// From west, south, east, north in degrees.
+    /// From west, south, east, north in degrees. A box whose west is larger than its east reaches
+    /// across the antimeridian (RFC 7946, section 5.2).
     ///
     /// # Errors
     /// [`AreaError::Bbox`] for an empty box or one that is not on the globe.
     pub fn from_bbox(bbox: [f64; 4]) -> Result<Self, AreaError> {
         let [west, south, east, north] = bbox;
-        let on_globe = west >= -180.0 && east <= 180.0 && south >= -90.0 && north <= 90.0;
-        if !(on_globe && west < east && south < north) {
+        let on_globe = [west, east].iter().all(|lon| lon.abs() <= 180.0)
+            && [south, north].iter().all(|lat| lat.abs() <= 90.0);
+        if !on_globe || west == east || south >= north {
             return Err(AreaError::Bbox(bbox));
         }
-        let rect = Rect::new(coord! { x: west, y: south }, coord! { x: east, y: north });
-        Ok(Self::Inside(MultiPolygon(vec![rect.to_polygon()])))
+        let rect = |west: f64, east: f64| {
+            Rect::new(coord! { x: west, y: south }, coord! { x: east, y: north }).to_polygon()
+        };
+        let polygons = if west < east {
+            vec![rect(west, east)]
+        } else {
+            // A side of no width is none.
+            let halves = [(west, 180.0), (-180.0, east)];
+            halves.into_iter().filter(|(west, east)| west < east).map(|(w, e)| rect(w, e)).collect()
+        };
+        if polygons.is_empty() {
+            return Err(AreaError::Bbox(bbox));
+        }
+        Ok(Self::Inside(MultiPolygon(polygons)))
     }
 
-    /// All polygons of a GeoJSON file (RFC 7946: degrees, WGS 84).
+    /// All polygons of a GeoJSON file (RFC 7946: degrees, WGS 84). What crosses the antimeridian is
+    /// cut there, whether its longitudes go on beyond ±180 or jump from one side to the other.
     ///
     /// # Errors
     /// When the file cannot be read, is no GeoJSON or holds no polygon.
@@ -85,7 +101,7 @@ impl Area {
         if polygons.is_empty() {
             return Err(AreaError::NoPolygon { path: path.to_owned() });
         }
-        Ok(Self::Inside(MultiPolygon(polygons)))
+        Ok(Self::Inside(polygons.into_iter().flat_map(antimeridian::cut).collect()))
     }
 
     /// From the coordinates of GeoJSON polygons, as manifests record them.
@@ -122,15 +138,15 @@ impl Area {
         }
     }
 
-    /// Longitude and latitude of the middle of the bounding box; `None` for the whole extract.
+    /// Longitude and latitude of the middle of the bounding box, which may reach across the
+    /// antimeridian; `None` for the whole extract.
     #[must_use]
     pub fn middle(&self) -> Option<[f64; 2]> {
-        match self {
-            Self::Whole => None,
-            Self::Inside(polygons) => {
-                polygons.bounding_rect().map(|rect| [rect.center().x, rect.center().y])
-            }
-        }
+        let Self::Inside(polygons) = self else { return None };
+        let lat = polygons.bounding_rect()?.center().y;
+        let longitudes = polygons.iter().filter_map(BoundingRect::bounding_rect);
+        let longitudes = longitudes.map(|rect| [rect.min().x, rect.max().x]).collect();
+        Some([antimeridian::middle(longitudes), lat])
     }
 }
 
@@ -154,8 +170,41 @@ mod tests {
         let area = Area::from_bbox([24.0, 60.0, 25.0, 61.0]).expect("a box");
         assert!(area.contains(24.5, 60.5) && !area.contains(23.9, 60.5));
         assert_eq!(area.middle(), Some([24.5, 60.5]));
-        assert!(matches!(Area::from_bbox([1.0, 0.0, 0.0, 1.0]), Err(AreaError::Bbox(_))));
+        assert!(matches!(Area::from_bbox([1.0, 0.0, 1.0, 1.0]), Err(AreaError::Bbox(_))));
+        assert!(matches!(Area::from_bbox([0.0, 1.0, 1.0, 0.0]), Err(AreaError::Bbox(_))));
+        assert!(matches!(Area::from_bbox([170.0, 0.0, 181.0, 1.0]), Err(AreaError::Bbox(_))));
         assert!(matches!(Area::from_bbox([f64::NAN, 0.0, 1.0, 1.0]), Err(AreaError::Bbox(_))));
+    }
+
+    #[test]
+    fn a_bbox_may_reach_across_the_antimeridian() {
+        let area = Area::from_bbox([179.0, -17.0, -177.0, -16.0]).expect("a box");
+        assert!(area.contains(179.5, -16.5) && area.contains(-177.5, -16.5));
+        assert!(!area.contains(0.0, -16.5) && !area.contains(178.5, -16.5));
+        assert_eq!(area.middle(), Some([-179.0, -16.5]));
+        let up_to = Area::from_bbox([179.0, -17.0, -180.0, -16.0]).expect("a box");
+        assert_eq!(up_to.middle(), Some([179.5, -16.5]));
+    }
+
+    #[test]
+    fn geojson_may_cross_the_antimeridian() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let path = dir.path().join("area.geojson");
+        for ring in [
+            "[[179,-17],[181,-17],[181,-16],[179,-16],[179,-17]]",
+            "[[179,-17],[-179,-17],[-179,-16],[179,-16],[179,-17]]",
+            "[[-179,-17],[-179,-16],[-181,-16],[-181,-17],[-179,-17]]",
+        ] {
+            let text = format!(r#"{{"type":"Polygon","coordinates":[{ring}]}}"#);
+            std::fs::write(&path, text).expect("written");
+            let area = Area::from_geojson(&path).expect("a polygon");
+            assert!(area.contains(179.5, -16.5) && area.contains(-179.5, -16.5), "{ring}");
+            assert!(!area.contains(0.0, -16.5) && !area.contains(178.9, -16.5), "{ring}");
+            let middle = area.middle().expect("it has one");
+            assert_eq!((middle[0].abs(), middle[1]), (180.0, -16.5), "{ring}");
+            let all = area.coordinates().expect("polygons").into_iter().flatten().flatten();
+            assert!(all.into_iter().all(|[lon, _]| lon.abs() <= 180.0), "{ring}");
+        }
     }
 
     #[test]

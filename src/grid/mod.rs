@@ -3,6 +3,7 @@
 //! In every array of this project **row 0 is the northernmost and column 0 the
 //! westernmost**; all coordinates are UTM metres unless a name says `lon`/`lat`.
 
+mod antimeridian;
 mod area;
 mod boxes;
 mod tile_id;

@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn manifests_of_other_stages_and_missing_ones_are_told_apart() {
         let dir = tempfile::tempdir().expect("a directory");
-        let load_it = || load::<Software>(dir.path(), "rasterise", "tiles.v1");
+        let load_it = || load::<Software>(dir.path(), "rasterise", "tiles.v2");
         assert!(matches!(load_it(), Err(ManifestError::Absent { .. })));
         std::fs::write(dir.path().join(MANIFEST), r#"{"schema": "rsrp.v1"}"#).expect("written");
         let error = load_it().expect_err("another schema");

@@ -1,4 +1,4 @@
-//! Manifest of rasterised tiles (`tiles.v1`) and the metadata inside each (`tile.v1`).
+//! Manifest of rasterised tiles (`tiles.v2`) and the metadata inside each (`tile.v1`).
 
 use std::collections::BTreeMap;
 
@@ -61,7 +61,7 @@ impl BuiltBySource {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TileStatistics {
-    /// Buildings (not parts, not elevated ones) with at least one cell in the tile.
+    /// Buildings (not parts, not raised ones) with at least one cell in the tile.
     pub buildings: u32,
     /// Share of the central window's cells that are built up, 0 to 1.
     pub built: f64,
@@ -89,17 +89,20 @@ pub struct TileEntry {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BuildingCounts {
+    /// Objects with building tags in the extracts: those that follow, and a row of `problems.csv`
+    /// with the action `skipped` or `left_out` for each of the others.
+    pub tagged: u64,
     /// Whole buildings on the ground.
     pub outlines: u64,
     /// Building parts on the ground.
     pub parts: u64,
-    /// Buildings and parts that do not block by themselves.
-    pub elevated: u64,
-    /// Of all these, with a `height` tag.
+    /// Buildings and parts that begin above the flight height.
+    pub raised: u64,
+    /// Of outlines, parts and raised ones, with a `height` tag.
     pub from_height: u64,
-    /// Of all these, with `building:levels`.
+    /// Of these, with `building:levels`.
     pub from_levels: u64,
-    /// Of all these, guessed.
+    /// Of these, guessed.
     pub from_default: u64,
 }
 
@@ -119,8 +122,8 @@ pub struct TilesConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TilesManifest {
-    /// Always `tiles.v1`.
-    #[schemars(extend("const" = "tiles.v1"))]
+    /// Always `tiles.v2`.
+    #[schemars(extend("const" = "tiles.v2"))]
     pub schema: String,
     /// SHA-256 over all that the output depends on.
     pub fingerprint: String,
@@ -141,7 +144,7 @@ pub struct TilesManifest {
     pub inputs: Vec<Input>,
     /// Buildings taken from them.
     pub buildings: BuildingCounts,
-    /// Objects skipped, repaired and left out, by reason.
+    /// Objects skipped, repaired, left out and noted, by reason.
     pub problems: BTreeMap<Action, BTreeMap<Defect, u64>>,
     /// Candidate tiles by verdict; `tiles.csv` lists them all.
     pub verdicts: BTreeMap<Verdict, u64>,
@@ -151,7 +154,7 @@ pub struct TilesManifest {
 
 impl TilesManifest {
     /// The value of `schema`.
-    pub const SCHEMA: &'static str = "tiles.v1";
+    pub const SCHEMA: &'static str = "tiles.v2";
 }
 
 /// `meta_json` inside of a tile's `.npz`.

@@ -1,29 +1,26 @@
 //! One building out of a way or a relation, its member ways and their nodes.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use geo::{Coord, LineString, MultiPolygon, Polygon};
 
-use super::footprint::{self, Ring, Role};
+use super::block::MemberId;
+use super::copies::MemberWay;
+use super::footprint::{self, Nested, Ring, Role};
 use super::nodes::NodeTable;
 use super::rings::{Rings, assemble};
-use crate::building::{Attributes, Defect};
+use super::scan::{RawRelation, RawWay};
+use crate::building::Defect;
 use crate::crs::Utm;
 
-/// A way with building tags.
-#[derive(Debug)]
-pub(super) struct RawWay {
-    pub(super) id: i64,
-    pub(super) refs: Vec<i64>,
-    pub(super) attributes: Attributes,
-}
+/// Relations within relations within relations ...: nobody needs more.
+const MAX_DEPTH: usize = 8;
 
-/// A multipolygon relation with building tags.
-#[derive(Debug)]
-pub(super) struct RawRelation {
-    pub(super) id: i64,
-    pub(super) members: Vec<(i64, Role)>,
-    pub(super) attributes: Attributes,
+/// What relations refer to.
+pub(super) struct Members {
+    pub(super) ways: HashMap<i64, MemberWay>,
+    /// Members of relations that are members themselves.
+    pub(super) relations: HashMap<i64, Vec<(MemberId, Role)>>,
 }
 
 /// Turns node ids into places.
@@ -55,64 +52,103 @@ pub(super) fn way_footprint(
     }
     footprint::check_size(way.refs.len())?;
     let ring = projector.ring(&way.refs, defects)?;
-    footprint::check_width(MultiPolygon(vec![Polygon::new(ring, vec![])]))
+    let footprint = MultiPolygon(vec![Polygon::new(ring, vec![])]);
+    footprint::check_width(&footprint)?;
+    Ok(footprint)
 }
 
-/// The footprint of a multipolygon relation. Whatever of it is sound is kept; mends are
-/// appended to `defects`.
+/// The footprint of a relation, in pieces. Whatever of it is sound is kept; mends are appended to
+/// `defects`.
 pub(super) fn relation_footprint(
     relation: &RawRelation,
-    ways: &HashMap<i64, Vec<i64>>,
+    members: &Members,
     projector: &Projector<'_>,
     defects: &mut Vec<Defect>,
-) -> Result<MultiPolygon<f64>, Defect> {
-    let mut members: Vec<(&[i64], Role)> = Vec::new();
-    let mut seen = std::collections::HashSet::new();
-    for &(id, role) in &relation.members {
-        match ways.get(&id) {
+) -> Result<Nested, Defect> {
+    let mut found: Vec<(&MemberWay, Role)> = Vec::new();
+    let mut seen = HashSet::new();
+    for (id, role) in member_ways(&relation.members, members, defects) {
+        match members.ways.get(&id) {
             _ if !seen.insert(id) => defects.push(Defect::DuplicateMember),
-            Some(refs) => members.push((refs, role)),
+            Some(way) => found.push((way, role)),
             None => defects.push(Defect::MissingMembers),
         }
     }
-    footprint::check_size(members.iter().map(|(refs, _)| refs.len()).sum())?;
+    footprint::check_size(found.iter().map(|(way, _)| way.refs.len()).sum())?;
     let mut rings = Vec::new();
-    let (closed, leftover) = assemble_by_role(&members);
+    let (closed, leftover) = assemble_by_role(&found);
     if leftover {
         defects.push(Defect::UnclosedRing);
     }
-    for (refs, role) in closed {
+    for (refs, ways, role) in closed {
+        // Of several ways around one ring the best known height counts, of equally known the highest.
+        let told = ways.iter().filter_map(|way| way.height_m);
+        let told = told.min_by(|a, b| a.1.cmp(&b.1).then(b.0.total_cmp(&a.0)));
         match projector.ring(&refs, defects) {
-            Ok(line) => rings.push(Ring { line, role }),
+            Ok(line) => rings.push(Ring { line, role, told }),
             Err(defect) => defects.push(defect),
         }
     }
-    let footprint = footprint::nest(rings, defects);
-    if footprint.0.is_empty() {
+    let nested = footprint::nest(rings, defects);
+    if nested.pieces.is_empty() {
         return Err(Defect::NoOuterRing);
     }
-    footprint::check_width(footprint)
+    footprint::check_width(&MultiPolygon::from_iter(
+        nested.pieces.iter().map(|piece| piece.polygon.clone()),
+    ))?;
+    Ok(nested)
 }
+
+/// The member ways of a relation and of relations within it. A ring of an inner relation has the
+/// role of that relation; what is a hole in it may be either, where it lies decides.
+pub(super) fn member_ways(
+    relation: &[(MemberId, Role)],
+    members: &Members,
+    defects: &mut Vec<Defect>,
+) -> Vec<(i64, Role)> {
+    let mut ways = Vec::new();
+    let mut open: Vec<(MemberId, Role, usize)> =
+        relation.iter().rev().map(|&(id, role)| (id, role, 0)).collect();
+    while let Some((id, role, depth)) = open.pop() {
+        match id {
+            MemberId::Way(id) => ways.push((id, role)),
+            MemberId::Relation(id) => match members.relations.get(&id) {
+                Some(inner) if depth < MAX_DEPTH => {
+                    let role_of = |inner: Role| if inner == Role::Inner { Role::Any } else { role };
+                    let inner = inner.iter().rev();
+                    open.extend(inner.map(|&(id, inner)| (id, role_of(inner), depth + 1)));
+                }
+                _ => defects.push(Defect::MissingMembers),
+            },
+        }
+    }
+    ways
+}
+
+/// A ring's nodes, the ways around it, and their role.
+type RoleRing<'a> = (Vec<i64>, Vec<&'a MemberWay>, Role);
 
 /// Rings of outer and of inner ways apart, since holes that touch the outline share nodes
 /// with it; all together where roles are too wrong for that.
-fn assemble_by_role(members: &[(&[i64], Role)]) -> (Vec<(Vec<i64>, Role)>, bool) {
-    let of_role = |wanted: Role| {
-        let ways: Vec<&[i64]> =
-            members.iter().filter(|(_, role)| *role == wanted).map(|(refs, _)| *refs).collect();
-        (wanted, assemble(&ways))
+fn assemble_by_role<'a>(members: &[(&'a MemberWay, Role)]) -> (Vec<RoleRing<'a>>, bool) {
+    let of_role = |wanted: Option<Role>| {
+        let ways = members.iter().filter(|(_, role)| wanted.is_none_or(|wanted| *role == wanted));
+        let ways: Vec<&'a MemberWay> = ways.map(|(way, _)| *way).collect();
+        let refs: Vec<&[i64]> = ways.iter().map(|way| &way.refs[..]).collect();
+        let Rings { closed, leftover } = assemble(&refs);
+        let ring = |ring: super::rings::ClosedRing| {
+            let around = ring.ways.iter().map(|&way| ways[way]).collect();
+            (ring.nodes, around, wanted.unwrap_or(Role::Any))
+        };
+        (closed.into_iter().map(ring).collect::<Vec<_>>(), leftover)
     };
-    let apart = [Role::Outer, Role::Inner, Role::Any].map(of_role);
-    if apart.iter().any(|(_, rings)| rings.leftover) {
-        let all: Vec<&[i64]> = members.iter().map(|(refs, _)| *refs).collect();
-        let Rings { closed, leftover } = assemble(&all);
+    let apart = [Role::Outer, Role::Inner, Role::Any].map(|role| of_role(Some(role)));
+    let leftover = apart.iter().any(|(_, leftover)| *leftover);
+    if leftover {
+        let (closed, leftover) = of_role(None);
         if !leftover {
-            return (closed.into_iter().map(|ring| (ring, Role::Any)).collect(), false);
+            return (closed, false);
         }
     }
-    let leftover = apart.iter().any(|(_, rings)| rings.leftover);
-    let closed = apart
-        .into_iter()
-        .flat_map(|(role, rings)| rings.closed.into_iter().map(move |ring| (ring, role)));
-    (closed.collect(), leftover)
+    (apart.into_iter().flat_map(|(closed, _)| closed).collect(), leftover)
 }

@@ -1,11 +1,14 @@
 //! Footprints out of rings of coordinates: cleaned, nested, judged.
 
+use std::collections::{HashMap, HashSet};
+
 use geo::kernels::{Kernel, Orientation, RobustKernel};
 use geo::{
-    Area, BoundingRect, Contains, Coord, InteriorPoint, LineString, MultiPolygon, Polygon, Rect,
+    Area, BooleanOps, BoundingRect, Contains, Coord, InteriorPoint, LineString, MultiPolygon,
+    Polygon, Rect,
 };
 
-use crate::building::Defect;
+use crate::building::{Defect, HeightSource};
 
 /// Rings smaller than this are taken for a mistake, in m².
 const MIN_AREA_M2: f64 = 0.01;
@@ -23,15 +26,32 @@ const MAX_WIDTH_M: f64 = 10_000.0;
 pub(super) enum Role {
     Outer,
     Inner,
-    /// Empty or unknown: the ring may be either.
+    /// Empty: the ring may be either.
     Any,
 }
 
-/// A ring of a relation: closed coordinates in metres, and the role of its ways.
+/// A ring of a relation: closed coordinates in metres, the role of its ways, and the height in metres
+/// that they tell.
 #[derive(Debug, Clone)]
 pub(super) struct Ring {
     pub(super) line: LineString<f64>,
     pub(super) role: Role,
+    pub(super) told: Option<(f32, HeightSource)>,
+}
+
+/// A polygon of a relation, and the height that the ways around it tell.
+#[derive(Debug, Clone)]
+pub(super) struct Piece {
+    pub(super) polygon: Polygon<f64>,
+    pub(super) told: Option<(f32, HeightSource)>,
+}
+
+/// What the rings of a relation make.
+#[derive(Debug, Default)]
+pub(super) struct Nested {
+    pub(super) pieces: Vec<Piece>,
+    /// The outer rings, as they were drawn.
+    pub(super) outers: Vec<LineString<f64>>,
 }
 
 /// Whether an object with so many points is worth looking at.
@@ -39,12 +59,12 @@ pub(super) fn check_size(points: usize) -> Result<(), Defect> {
     if points > MAX_POINTS { Err(Defect::TooManyPoints) } else { Ok(()) }
 }
 
-/// A footprint that is no wider than buildings are.
-pub(super) fn check_width(footprint: MultiPolygon<f64>) -> Result<MultiPolygon<f64>, Defect> {
+/// Whether a footprint is no wider than buildings are.
+pub(super) fn check_width(footprint: &MultiPolygon<f64>) -> Result<(), Defect> {
     let fits = footprint
         .bounding_rect()
         .is_none_or(|bounds| bounds.width() <= MAX_WIDTH_M && bounds.height() <= MAX_WIDTH_M);
-    if fits { Ok(footprint) } else { Err(Defect::TooLarge) }
+    if fits { Ok(()) } else { Err(Defect::TooLarge) }
 }
 
 /// Removes repeated points, and checks that a ring encloses something.
@@ -61,6 +81,10 @@ pub(super) fn clean(
     }
     if points.len() < 4 || distinct_is_below_three(&points) {
         return Err(Defect::TooFewPoints);
+    }
+    if let Some(once) = walked_once(&points) {
+        defects.push(Defect::RingWalkedTwice);
+        points = once;
     }
     let ring = LineString(points);
     if crosses_itself(&ring) {
@@ -84,34 +108,69 @@ fn distinct_is_below_three(points: &[Coord<f64>]) -> bool {
     !points.iter().any(|&point| point != first && Some(&point) != second)
 }
 
+/// A closed walk without the rounds that it makes a second time; `None` if it makes none. Counted
+/// even-odd, two rounds would enclose nothing.
+fn walked_once(points: &[Coord<f64>]) -> Option<Vec<Coord<f64>>> {
+    let key = |point: &Coord<f64>| (point.x.to_bits(), point.y.to_bits());
+    let mut seen = HashMap::with_capacity(points.len());
+    let repeats = points[1..].iter().any(|point| seen.insert(key(point), ()).is_some());
+    if !repeats {
+        return None;
+    }
+    // Whenever the walk comes back to a point of its path, a loop is cut off.
+    let mut path: Vec<Coord<f64>> = Vec::new();
+    let mut at: HashMap<(u64, u64), usize> = HashMap::new();
+    let (mut loops, mut known, mut again) = (Vec::new(), HashSet::new(), false);
+    for &point in points {
+        if let Some(&start) = at.get(&key(&point)) {
+            let round: Vec<Coord<f64>> = path.drain(start..).collect();
+            round.iter().for_each(|point| {
+                at.remove(&key(point));
+            });
+            // A bit of wall walked back and forth encloses nothing.
+            if round.len() > 2 {
+                let mut corners: Vec<_> = round.iter().map(key).collect();
+                corners.sort_unstable();
+                if known.insert(corners) {
+                    loops.push(round);
+                } else {
+                    again = true;
+                }
+            }
+        }
+        at.insert(key(&point), path.len());
+        path.push(point);
+    }
+    if !again {
+        return None;
+    }
+    // One walk again: ways between loops are walked there and back, which encloses nothing.
+    let start = loops[0][0];
+    let closed = |round: &Vec<Coord<f64>>| [&round[..], &round[..1]].concat();
+    let mut once: Vec<Coord<f64>> = loops.iter().flat_map(closed).collect();
+    once.push(start);
+    once.dedup();
+    Some(once)
+}
+
 /// Nests the rings of a relation to polygons. Where a ring lies decides what it is; roles
 /// only tell a hole that lies nowhere from a building.
 ///
-/// Returns one polygon for each outer ring, which may overlap.
-pub(super) fn nest(mut rings: Vec<Ring>, defects: &mut Vec<Defect>) -> MultiPolygon<f64> {
+/// Returns a polygon for each outer ring, which may overlap, less the inner rings. Where outer rings
+/// share area and meet in their nodes only, nobody can tell which way belongs to which: the even-odd
+/// rule over all of them decides.
+pub(super) fn nest(mut rings: Vec<Ring>, defects: &mut Vec<Defect>) -> Nested {
     drop_twins(&mut rings, defects);
-    let polygons: Vec<Polygon<f64>> =
-        rings.iter().map(|ring| Polygon::new(ring.line.clone(), vec![])).collect();
-    let boxes: Vec<Option<Rect<f64>>> = polygons.iter().map(BoundingRect::bounding_rect).collect();
-    let areas: Vec<f64> = polygons.iter().map(Area::unsigned_area).collect();
-    let inside = |inner: usize, outer: usize| {
-        let (Some(inner_box), Some(outer_box)) = (boxes[inner], boxes[outer]) else {
-            return false;
-        };
-        inner != outer
-            && areas[inner] < areas[outer]
-            && box_within(inner_box, outer_box)
-            && polygons[inner].interior_point().is_some_and(|at| polygons[outer].contains(&at))
-            && !cross(&rings[inner].line, &rings[outer].line)
-    };
+    let shapes = Shapes::new(&rings);
     let containers: Vec<Vec<usize>> = (0..rings.len())
-        .map(|inner| (0..rings.len()).filter(|&outer| inside(inner, outer)).collect())
+        .map(|inner| (0..rings.len()).filter(|&outer| shapes.inside(inner, outer)).collect())
         .collect();
-
     let is_hole = |ring: usize| containers[ring].len() % 2 == 1;
-    let (mut outers, mut orphans) = (Vec::new(), 0);
+    let (mut outers, mut cutting, mut orphans) = (Vec::new(), Vec::new(), 0);
     for (ring, Ring { role, .. }) in rings.iter().enumerate() {
+        let cuts = !is_hole(ring) && shapes.cuts(ring, *role, &rings);
         match (is_hole(ring), role) {
+            _ if cuts => cutting.push(ring),
             (false, Role::Inner) if containers[ring].is_empty() => orphans += 1,
             (hole, Role::Inner) if !hole => {
                 defects.push(Defect::RoleMismatch);
@@ -129,20 +188,159 @@ pub(super) fn nest(mut rings: Vec<Ring>, defects: &mut Vec<Defect>) -> MultiPoly
     // A hole belongs to the smallest ring around it.
     let mut holes: Vec<Vec<LineString<f64>>> = vec![Vec::new(); rings.len()];
     for ring in (0..rings.len()).filter(|&ring| is_hole(ring)) {
-        let parent = containers[ring].iter().min_by(|&&a, &&b| areas[a].total_cmp(&areas[b]));
+        let area = |ring: usize| shapes.areas[ring];
+        let parent = containers[ring].iter().min_by(|&&a, &&b| area(a).total_cmp(&area(b)));
         if let Some(&parent) = parent {
             holes[parent].push(rings[ring].line.clone());
         }
     }
-    let overlapping = outers.iter().enumerate().any(|(index, &a)| {
-        outers[..index].iter().any(|&b| overlap(&polygons[a], &polygons[b], boxes[a], boxes[b]))
-    });
-    if overlapping {
+    let mut pieces: Vec<Piece> = outers
+        .iter()
+        .map(|&ring| {
+            let holes = std::mem::take(&mut holes[ring]);
+            let polygon = Polygon::new(rings[ring].line.clone(), holes);
+            Piece { polygon, told: rings[ring].told }
+        })
+        .collect();
+    if outers.len() > 1 && shapes.any_crossing(&outers) {
         defects.push(Defect::OverlappingOuters);
     }
-    let with_holes =
-        |ring: usize| Polygon::new(rings[ring].line.clone(), std::mem::take(&mut holes[ring]));
-    MultiPolygon(outers.into_iter().map(with_holes).collect())
+    if outers.len() > 1 {
+        pieces = even_odd(pieces, &outers, &shapes);
+    }
+    if !cutting.is_empty() && !outers.is_empty() {
+        defects.push(Defect::CrossingInner);
+        pieces = without(pieces, cutting.iter().map(|&ring| &shapes.polygons[ring]));
+    }
+    Nested { pieces, outers: outers.iter().map(|&ring| rings[ring].line.clone()).collect() }
+}
+
+/// Rings as areas, and how they lie to each other.
+struct Shapes {
+    polygons: Vec<Polygon<f64>>,
+    boxes: Vec<Option<Rect<f64>>>,
+    areas: Vec<f64>,
+}
+
+impl Shapes {
+    fn new(rings: &[Ring]) -> Self {
+        let polygons: Vec<Polygon<f64>> =
+            rings.iter().map(|ring| Polygon::new(ring.line.clone(), vec![])).collect();
+        let boxes = polygons.iter().map(BoundingRect::bounding_rect).collect();
+        let areas = polygons.iter().map(Area::unsigned_area).collect();
+        Self { polygons, boxes, areas }
+    }
+
+    /// Whether a ring lies in another.
+    fn inside(&self, inner: usize, outer: usize) -> bool {
+        let (Some(inner_box), Some(outer_box)) = (self.boxes[inner], self.boxes[outer]) else {
+            return false;
+        };
+        let [one, other] = [&self.polygons[inner], &self.polygons[outer]];
+        inner != outer
+            && self.areas[inner] < self.areas[outer]
+            && box_within(inner_box, outer_box)
+            && one.interior_point().is_some_and(|at| other.contains(&at))
+            && !cross(one.exterior(), other.exterior())
+            // Rings may also cross in their nodes.
+            && (!share_nodes(one, other) || self.shared_m2(inner, outer) > self.areas[inner] - MIN_AREA_M2)
+    }
+
+    /// Area that two rings share, in m².
+    fn shared_m2(&self, one: usize, other: usize) -> f64 {
+        self.polygons[one].intersection(&self.polygons[other]).unsigned_area()
+    }
+
+    fn boxes_meet(&self, one: usize, other: usize) -> bool {
+        let (Some(a), Some(b)) = (self.boxes[one], self.boxes[other]) else { return false };
+        a.min().x < b.max().x
+            && b.min().x < a.max().x
+            && a.min().y < b.max().y
+            && b.min().y < a.max().y
+    }
+
+    /// Whether a ring that lies in no other is a hole that reaches beyond its outline: one with the
+    /// role of a hole, or one without role that lies mostly within.
+    fn cuts(&self, ring: usize, role: Role, rings: &[Ring]) -> bool {
+        role != Role::Outer
+            && (0..rings.len()).any(|outer| {
+                let may_be_outer = outer != ring && rings[outer].role != Role::Inner;
+                let least = if role == Role::Inner { MIN_AREA_M2 } else { self.areas[ring] / 2.0 };
+                may_be_outer
+                    && self.boxes_meet(ring, outer)
+                    && (role == Role::Inner || self.areas[ring] < self.areas[outer])
+                    && self.shared_m2(ring, outer) > least
+                    && !self.inside(ring, outer)
+                    && !self.inside(outer, ring)
+            })
+    }
+
+    /// Whether some of these rings cross each other.
+    fn any_crossing(&self, rings: &[usize]) -> bool {
+        let crosses = |a: usize, b: usize| {
+            self.boxes_meet(a, b) && cross(self.polygons[a].exterior(), self.polygons[b].exterior())
+        };
+        rings.iter().enumerate().any(|(at, &a)| rings[..at].iter().any(|&b| crosses(a, b)))
+    }
+
+    /// Whether two outer rings share area, though they meet in their nodes only.
+    fn overlap_in_nodes(&self, a: usize, b: usize) -> bool {
+        let [one, other] = [&self.polygons[a], &self.polygons[b]];
+        self.boxes_meet(a, b)
+            && share_nodes(one, other)
+            && !cross(one.exterior(), other.exterior())
+            && !self.inside(a, b)
+            && !self.inside(b, a)
+            && self.shared_m2(a, b) > MIN_AREA_M2
+    }
+}
+
+/// Whether two rings have two or more points in common.
+fn share_nodes(one: &Polygon<f64>, other: &Polygon<f64>) -> bool {
+    let key = |point: &Coord<f64>| (point.x.to_bits(), point.y.to_bits());
+    let points: HashSet<_> = one.exterior().0[1..].iter().map(key).collect();
+    other.exterior().0[1..].iter().filter(|point| points.contains(&key(point))).count() > 1
+}
+
+/// Pieces that share area and meet in nodes only become one by the even-odd rule.
+fn even_odd(pieces: Vec<Piece>, outers: &[usize], shapes: &Shapes) -> Vec<Piece> {
+    let mut left: Vec<(usize, Piece)> = outers.iter().copied().zip(pieces).collect();
+    let mut done = Vec::new();
+    while !left.is_empty() {
+        let (ring, piece) = left.remove(0);
+        let (mut group, mut merged) = (vec![ring], MultiPolygon(vec![piece.polygon.clone()]));
+        let mut told = vec![piece.told];
+        while let Some(next) = left.iter().position(|(other, _)| {
+            group.iter().any(|&member| shapes.overlap_in_nodes(member, *other))
+        }) {
+            let (other, piece) = left.remove(next);
+            merged = merged.xor(&piece.polygon);
+            group.push(other);
+            told.push(piece.told);
+        }
+        if group.len() == 1 {
+            done.push(piece);
+        } else {
+            let told = told.into_iter().flatten();
+            let told = told.min_by(|a, b| a.1.cmp(&b.1).then(b.0.total_cmp(&a.0)));
+            done.extend(merged.into_iter().map(|polygon| Piece { polygon, told }));
+        }
+    }
+    done
+}
+
+/// Pieces less what is cut out of them.
+fn without<'a>(
+    mut pieces: Vec<Piece>,
+    cutting: impl Iterator<Item = &'a Polygon<f64>>,
+) -> Vec<Piece> {
+    for hole in cutting {
+        let cut = |Piece { polygon, told }: Piece| {
+            polygon.difference(hole).into_iter().map(move |polygon| Piece { polygon, told })
+        };
+        pieces = pieces.into_iter().flat_map(cut).collect();
+    }
+    pieces
 }
 
 /// Removes rings that repeat an earlier one.
@@ -153,30 +351,12 @@ fn drop_twins(rings: &mut Vec<Ring>, defects: &mut Vec<Defect>) {
         points.sort_unstable();
         points
     };
-    let mut seen = std::collections::HashSet::new();
+    let mut seen = HashSet::new();
     let before = rings.len();
     rings.retain(|ring| seen.insert(sorted_points(ring)));
     if rings.len() < before {
         defects.push(Defect::DuplicateMember);
     }
-}
-
-/// Whether two outer rings share area. Rings in one another are no overlap here: they are
-/// islands in holes, which `nest` has sorted out.
-fn overlap(
-    a: &Polygon<f64>,
-    b: &Polygon<f64>,
-    box_a: Option<Rect<f64>>,
-    box_b: Option<Rect<f64>>,
-) -> bool {
-    let (Some(box_a), Some(box_b)) = (box_a, box_b) else {
-        return false;
-    };
-    let boxes_meet = box_a.min().x < box_b.max().x
-        && box_b.min().x < box_a.max().x
-        && box_a.min().y < box_b.max().y
-        && box_b.min().y < box_a.max().y;
-    boxes_meet && cross(a.exterior(), b.exterior())
 }
 
 fn box_within(inner: Rect<f64>, outer: Rect<f64>) -> bool {
@@ -242,9 +422,9 @@ mod tests {
 
     fn nested(rings: &[(LineString<f64>, Role)]) -> (f64, usize, Vec<Defect>) {
         let mut defects = Vec::new();
-        let rings = rings.iter().cloned().map(|(line, role)| Ring { line, role }).collect();
-        let footprint = nest(rings, &mut defects);
-        (footprint.unsigned_area(), footprint.0.len(), defects)
+        let ring = |(line, role)| Ring { line, role, told: None };
+        let Nested { pieces, .. } = nest(rings.iter().cloned().map(ring).collect(), &mut defects);
+        (pieces.iter().map(|piece| piece.polygon.unsigned_area()).sum(), pieces.len(), defects)
     }
 
     #[test]
@@ -280,6 +460,67 @@ mod tests {
     fn overlapping_outers_stay_two_polygons() {
         let rings = [(square(0.0, 0.0, 10.0), Role::Outer), (square(5.0, 5.0, 10.0), Role::Outer)];
         assert_eq!(nested(&rings), (200.0, 2, vec![Defect::OverlappingOuters]));
+    }
+
+    #[test]
+    fn a_hole_that_reaches_beyond_its_outline_is_cut_out() {
+        use Role::{Any, Inner, Outer};
+        let (outer, hole) = (square(0.0, 0.0, 10.0), square(4.0, 2.0, 6.5));
+        let cut = |one: Role, other: Role| {
+            let (area, pieces, defects) = nested(&[(outer.clone(), one), (hole.clone(), other)]);
+            assert_eq!((pieces, defects), (1, vec![Defect::CrossingInner]), "{one:?} {other:?}");
+            assert!((area - (100.0 - 6.0 * 6.5)).abs() < 1e-6, "{one:?} {other:?}: {area}");
+        };
+        cut(Outer, Inner);
+        cut(Outer, Any);
+        cut(Any, Any);
+        // All of it cut away.
+        let rings = [(square(2.0, 2.0, 1.0), Outer), (square(0.0, 0.0, 10.0), Inner)];
+        assert_eq!(nested(&rings).1, 0);
+    }
+
+    #[test]
+    fn outers_that_meet_in_nodes_follow_the_even_odd_rule() {
+        let ring = |points: &[(f64, f64)]| {
+            let mut line: LineString<f64> = points.iter().copied().collect();
+            line.close();
+            line
+        };
+        // They meet in (46, 50) and (46, 20) only; what lies east of that line is in both.
+        let west = ring(&[(46.0, 50.0), (16.0, 45.0), (16.0, 25.0), (46.0, 20.0), (61.0, 30.0), (61.0, 40.0)]);
+        let east = ring(&[(46.0, 50.0), (46.0, 70.0), (96.0, 70.0), (96.0, 0.0), (46.0, 0.0), (46.0, 20.0)]);
+        let (area, _, defects) = nested(&[(west, Role::Outer), (east, Role::Outer)]);
+        assert!(defects.is_empty(), "{defects:?}");
+        assert!((area - (750.0 + 3500.0 - 300.0)).abs() < 1e-3, "{area}");
+    }
+
+    #[test]
+    fn a_ring_walked_more_than_once_is_taken_once() {
+        let points = |ids: &[u8]| -> Vec<Coord<f64>> {
+            let corner = |id: &u8| match id {
+                1 => (0.0, 0.0),
+                2 => (5.0, 0.0),
+                3 => (5.0, 5.0),
+                4 => (0.0, 5.0),
+                5 => (9.0, 5.0),
+                _ => (9.0, 9.0),
+            };
+            ids.iter().map(|id| corner(id).into()).collect()
+        };
+        for walk in [
+            &[1, 2, 3, 4, 1, 2, 3, 4, 1][..],
+            &[1, 2, 3, 4, 1, 4, 3, 2, 1],
+            &[1, 2, 3, 4, 1, 2, 3, 4, 1, 2, 3, 4, 1],
+            &[1, 2, 3, 4, 1, 2, 3, 5, 3, 4, 1],
+        ] {
+            let mut defects = Vec::new();
+            let ring = clean(points(walk), &mut defects).expect("a ring");
+            assert_eq!(defects, [Defect::RingWalkedTwice], "{walk:?}");
+            assert_eq!(Polygon::new(ring, vec![]).unsigned_area(), 25.0, "{walk:?}");
+        }
+        for walk in [&[1, 2, 3, 4, 1][..], &[1, 2, 3, 5, 3, 4, 1], &[1, 2, 3, 5, 6, 3, 4, 1]] {
+            assert_eq!(walked_once(&points(walk)), None, "{walk:?}");
+        }
     }
 
     #[test]

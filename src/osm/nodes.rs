@@ -2,6 +2,8 @@
 //!
 //! Memory: 8 bytes for the id and 8 for the place of each node in use.
 
+use std::collections::HashMap;
+
 use osmpbfreader::osmformat::PrimitiveBlock;
 
 use super::block;
@@ -51,11 +53,52 @@ impl NodeTable {
     /// Enters places; the first that is known of a node stays.
     pub(super) fn enter(&mut self, found: Vec<(u32, [i32; 2])>) {
         for (index, place) in found {
-            let entry = &mut self.places[index as usize];
-            if *entry == UNKNOWN {
-                *entry = place;
+            self.set(index as usize, place);
+        }
+    }
+
+    fn set(&mut self, index: usize, place: [i32; 2]) {
+        if self.places[index] == UNKNOWN {
+            self.places[index] = place;
+        }
+    }
+
+    /// The same for places that a file keeps with its ways.
+    pub(super) fn enter_places(&mut self, ids: &[i64], places: &[[i32; 2]]) {
+        for (id, &place) in ids.iter().zip(places) {
+            if let Ok(index) = self.ids.binary_search(id) {
+                self.set(index, place);
             }
         }
+    }
+
+    /// A node that one file places twice, differently: it holds several versions. `found` is what
+    /// the blocks of the file hold.
+    pub(super) fn contradiction(&self, found: &[Vec<(u32, [i32; 2])>]) -> Option<i64> {
+        let mut last = None;
+        let mut is_mixed = false;
+        for &(index, place) in found.iter().flatten() {
+            match last {
+                Some((before, there)) if before == index && there != place => {
+                    return Some(self.ids[index as usize]);
+                }
+                Some((before, _)) => is_mixed |= index < before,
+                None => {}
+            }
+            last = Some((index, place));
+        }
+        if !is_mixed {
+            return None;
+        }
+        let mut places = HashMap::new();
+        let mut found = found.iter().flatten();
+        let other = found.find(|(index, place)| *places.entry(*index).or_insert(*place) != *place);
+        other.map(|&(index, _)| self.ids[index as usize])
+    }
+
+    /// Whether the places of all these nodes are known.
+    pub(super) fn has_all(&self, ids: &[i64]) -> bool {
+        self.places(ids).all(|place| place.is_some())
     }
 
     /// Longitude and latitude of nodes, in degrees, each if the extract has it.
@@ -73,21 +116,6 @@ impl NodeTable {
             let place = self.places[index];
             (place != UNKNOWN).then(|| degrees(place))
         })
-    }
-
-    /// Middle of the bounding box of all known nodes, in degrees.
-    pub(super) fn middle(&self) -> Option<[f64; 2]> {
-        let mut known = self.places.iter().filter(|&&place| place != UNKNOWN);
-        let &first = known.next()?;
-        let (mut low, mut high) = (first, first);
-        for &place in known {
-            for axis in 0..2 {
-                low[axis] = low[axis].min(place[axis]);
-                high[axis] = high[axis].max(place[axis]);
-            }
-        }
-        let ([west, south], [east, north]) = (degrees(low), degrees(high));
-        Some([f64::midpoint(west, east), f64::midpoint(south, north)])
     }
 }
 

@@ -1,23 +1,26 @@
-//! The three passes over the extracts, and their result.
+//! The passes over the extracts, and their result.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::PathBuf;
 
-use geo::{MultiPolygon, Polygon};
-use osmpbfreader::osmformat::PrimitiveBlock;
-use rayon::prelude::*;
-
-use super::assemble::{Projector, RawRelation, RawWay, relation_footprint, way_footprint};
-use super::block;
+use super::assemble::{Members, Projector};
+use super::block::{self, MemberId};
+use super::build::{Found, build};
+use super::copies::{MemberWay, whole_members, whole_relations, whole_ways};
 use super::footprint::Role;
 use super::nodes::NodeTable;
 use super::pbf::{PbfError, PbfFile};
-use crate::building::{Building, Classified, Defect, ObjectId, Problem, classify};
+use super::scan::{Finds, Order, RawRelation, RawWay, find_buildings};
+use super::zone;
+use crate::building::{Action, City, Defect, Kind, ObjectId, Problem, told_height};
 use crate::config::BuildingsConfig;
 use crate::crs::{CrsError, Utm};
 use crate::error::{Fault, HasFault};
 use crate::grid::Area;
 use crate::progress::Progress;
+
+/// Relations within relations within relations ...: nobody needs more.
+const MAX_ROUNDS: usize = 8;
 
 /// Why no buildings could be read.
 #[derive(Debug, thiserror::Error)]
@@ -37,9 +40,9 @@ pub enum ReadError {
     Elsewhere {
         /// The projection of the area.
         epsg: u32,
-        /// Longitude of the middle of all buildings, in degrees.
+        /// Longitude of one of most buildings, in degrees.
         lon: f64,
-        /// Latitude of the middle of all buildings, in degrees.
+        /// Latitude of one of most buildings, in degrees.
         lat: f64,
     },
     /// There is nothing to rasterise.
@@ -73,28 +76,28 @@ fn list(files: &[PathBuf]) -> String {
 #[derive(Debug)]
 pub struct Extract {
     /// Buildings and parts, ways first, each in the order of the files.
-    pub buildings: Vec<Building>,
+    pub city: City,
     /// The projection of their footprints.
     pub utm: Utm,
-    /// What was skipped, repaired or left out; sorted, at most once for each object and code.
+    /// What was skipped, repaired, left out or noted; sorted, at most once for each object and code.
     pub problems: Vec<Problem>,
+    /// Objects with building tags: those of the city, and those that a problem's action says are not.
+    pub tagged: u64,
 }
 
-/// What the first pass finds in one block.
-#[derive(Default)]
-struct Finds {
-    has_nodes: bool,
-    has_ways: bool,
-    ways: Vec<RawWay>,
-    relations: Vec<RawRelation>,
-    problems: Vec<Problem>,
+/// An open file and which of its blobs hold what.
+struct Extracted {
+    file: PbfFile,
+    node_blobs: Vec<usize>,
+    way_blobs: Vec<usize>,
+    relation_blobs: Vec<usize>,
 }
 
-/// Reads the buildings of one or several extracts. An object that several hold is taken
-/// from the first.
+/// Reads the buildings of one or several extracts. Of an object that several hold the whole copy is
+/// taken.
 ///
-/// The projection is `epsg` if given, else the UTM zone of the area's middle, else that of
-/// the middle of all buildings.
+/// The projection is `epsg` if given, else the UTM zone of the area's middle, else that of most
+/// buildings.
 ///
 /// # Errors
 /// [`ReadError`]; defects of single objects are no errors but listed in the result.
@@ -105,244 +108,267 @@ pub fn read_buildings(
     area: &Area,
     progress: &dyn Progress,
 ) -> Result<Extract, ReadError> {
-    let files_open = files.iter().map(|path| PbfFile::open(path)).collect::<Result<Vec<_>, _>>()?;
-    let blobs = files_open.iter().map(|file| file.len() as u64).sum();
-
-    progress.begin("reading building tags", Some(blobs));
-    let mut found = Finds::default();
-    // Which blobs of each file hold nodes, and which ways.
-    let (mut node_blobs, mut way_blobs) = (Vec::new(), Vec::new());
-    for file in &files_open {
-        let every: Vec<usize> = (0..file.len()).collect();
-        let finds = file.map(&every, progress, |block| find_buildings(block, config))?;
-        node_blobs.push(every.iter().copied().filter(|&blob| finds[blob].has_nodes).collect());
-        way_blobs.push(every.iter().copied().filter(|&blob| finds[blob].has_ways).collect());
-        for find in finds {
-            found.ways.extend(find.ways);
-            found.relations.extend(find.relations);
-            found.problems.extend(find.problems);
+    let open = files.iter().map(|path| PbfFile::open(path)).collect::<Result<Vec<_>, _>>()?;
+    for file in &open {
+        for feature in file.unknown_features() {
+            let path = file.path().display();
+            progress.note(&format!("{path}: the optional feature {feature:?} is not known, and not used"));
         }
     }
-    progress.end();
-    let Finds { mut ways, mut relations, mut problems, .. } = found;
-    drop_duplicates(&mut ways, &mut relations, &mut problems);
-    let found = ways.len() + relations.len();
+    let (extracts, Finds { ways, relations, mut problems, .. }) = read_tags(open, config, progress)?;
 
-    let members = read_members(&files_open, &way_blobs, &relations, progress)?;
-    let nodes = read_nodes(&files_open, &node_blobs, &ways, &members, progress)?;
-    drop(files_open);
+    let relations_within = read_relations(&extracts, &relations, progress)?;
+    let members = read_members(&extracts, &relations, &relations_within, config, progress)?;
+    let nodes = read_nodes(&extracts, &ways, &members, progress)?;
+    drop(extracts);
+    let members = Members {
+        ways: whole_members(members, &nodes),
+        relations: relations_within,
+    };
+    let ways = whole_ways(ways, &nodes, &mut problems);
+    let relations = whole_relations(relations, &members.ways, &mut problems);
+    let tagged = count_tagged(&ways, &relations, &mut problems);
 
-    let utm = match (epsg, area.middle().or_else(|| nodes.middle())) {
-        (Some(epsg), _) => Utm::from_epsg(epsg)?,
-        (None, Some([lon, lat])) => Utm::of_place(lon, lat)?,
-        (None, None) => {
-            return Err(ReadError::NoBuildings { files: files.to_owned(), found });
-        }
+    let of_most = zone::of_most(&ways, &relations, &members, &nodes);
+    let no_buildings = || ReadError::NoBuildings { files: files.to_owned(), found: tagged as usize };
+    let utm = match (epsg, area.middle(), of_most) {
+        (Some(epsg), ..) => Utm::from_epsg(epsg)?,
+        (None, Some([lon, lat]), _) => Utm::of_place(lon, lat)?,
+        (None, None, Some((utm, _))) => utm,
+        (None, None, None) => return Err(no_buildings()),
     };
     let projector = Projector { nodes: &nodes, utm };
-    let buildings = build(&ways, &relations, &members, &projector, &mut problems);
-    let unprojectable = |problem: &Problem| problem.defect == Defect::NotProjectable;
-    if buildings.is_empty() && problems.iter().any(unprojectable) {
-        let [lon, lat] = nodes.middle().unwrap_or([f64::NAN; 2]);
-        return Err(ReadError::Elsewhere { epsg: utm.epsg(), lon, lat });
-    }
+    let Found { buildings, named } = build(&ways, &relations, &members, &projector, &mut problems);
     if buildings.is_empty() {
-        return Err(ReadError::NoBuildings { files: files.to_owned(), found });
+        let is_far = problems.iter().any(|problem| problem.defect == Defect::NotProjectable);
+        return Err(match of_most {
+            Some((_, [lon, lat])) if is_far => {
+                ReadError::Elsewhere { epsg: utm.epsg(), lon, lat }
+            }
+            _ => no_buildings(),
+        });
     }
+    progress.begin("grouping buildings and parts", None);
+    let city = City::new(buildings, &named, config);
+    progress.end();
+    problems.extend(raised(&city));
     problems.sort_unstable();
     problems.dedup();
-    Ok(Extract { buildings, utm, problems })
+    Ok(Extract { city, utm, problems, tagged })
 }
 
 /// First pass: ways and relations with building tags.
-fn find_buildings(block: &PrimitiveBlock, config: &BuildingsConfig) -> Finds {
-    let mut finds = Finds::default();
-    for group in &block.primitivegroup {
-        finds.has_nodes |= !group.nodes.is_empty() || !group.dense.id.is_empty();
-        finds.has_ways |= !group.ways.is_empty();
-        for way in &group.ways {
-            let classified = classify(|key| block::way_tag(block, way, key), config);
-            let object = ObjectId::Way(way.id());
-            if let Some(attributes) = finds.note(object, classified) {
-                finds.ways.push(RawWay { id: way.id(), refs: block::way_refs(way), attributes });
-            }
-        }
-        for relation in &group.relations {
-            let tag = |key: &str| block::relation_tag(block, relation, key);
-            if tag("type") != Some("multipolygon") {
-                continue;
-            }
-            let object = ObjectId::Relation(relation.id());
-            if let Some(attributes) = finds.note(object, classify(tag, config)) {
-                let members = block::member_ways(block, relation)
-                    .map(|(id, role)| match role {
-                        "outer" => (id, Role::Outer),
-                        "inner" => (id, Role::Inner),
-                        _ => (id, Role::Any),
-                    })
-                    .collect();
-                finds.relations.push(RawRelation { id: relation.id(), members, attributes });
-            }
-        }
-    }
-    finds
-}
-
-impl Finds {
-    /// Keeps what is wrong with an object, and returns its attributes if it is a building.
-    fn note(
-        &mut self,
-        object: ObjectId,
-        classified: Classified,
-    ) -> Option<crate::building::Attributes> {
-        let (attributes, defects) = match classified {
-            Classified::Unrelated => (None, vec![]),
-            Classified::LeftOut(defect) => (None, vec![defect]),
-            Classified::Building(attributes, defects) => (Some(attributes), defects),
-        };
-        self.problems.extend(defects.into_iter().map(|defect| Problem { object, defect }));
-        attributes
-    }
-}
-
-/// Keeps the first of several objects with one id.
-fn drop_duplicates(
-    ways: &mut Vec<RawWay>,
-    relations: &mut Vec<RawRelation>,
-    problems: &mut Vec<Problem>,
-) {
-    let mut seen = HashSet::new();
-    let mut is_first = |object: ObjectId| {
-        let first = seen.insert(object);
-        if !first {
-            problems.push(Problem { object, defect: Defect::DuplicateObject });
-        }
-        first
-    };
-    ways.retain(|way| is_first(ObjectId::Way(way.id)));
-    relations.retain(|relation| is_first(ObjectId::Relation(relation.id)));
-}
-
-/// Second pass: the nodes of member ways of kept relations.
-fn read_members(
-    files: &[PbfFile],
-    way_blobs: &[Vec<usize>],
-    relations: &[RawRelation],
+fn read_tags(
+    files: Vec<PbfFile>,
+    config: &BuildingsConfig,
     progress: &dyn Progress,
-) -> Result<HashMap<i64, Vec<i64>>, PbfError> {
-    let wanted: HashSet<i64> =
-        relations.iter().flat_map(|relation| relation.members.iter().map(|(id, _)| *id)).collect();
-    let mut members = HashMap::with_capacity(wanted.len());
-    if wanted.is_empty() {
-        return Ok(members);
-    }
-    progress.begin("reading multipolygon members", Some(count(way_blobs)));
-    for (file, blobs) in files.iter().zip(way_blobs) {
-        let finds = file.map(blobs, progress, |block| {
-            let ways = block.primitivegroup.iter().flat_map(|group| &group.ways);
-            ways.filter(|way| wanted.contains(&way.id()))
-                .map(|way| (way.id(), block::way_refs(way)))
-                .collect::<Vec<_>>()
-        })?;
-        for (id, refs) in finds.into_iter().flatten() {
-            members.entry(id).or_insert(refs);
+) -> Result<(Vec<Extracted>, Finds), PbfError> {
+    let blobs = files.iter().map(|file| file.len() as u64).sum();
+    progress.begin("reading building tags", Some(blobs));
+    let (mut all, mut extracts) = (Finds::default(), Vec::new());
+    for file in files {
+        let every: Vec<usize> = (0..file.len()).collect();
+        let finds = file.map(&every, progress, |block| find_buildings(block, config))?;
+        let blobs = |holds: &dyn Fn(&Finds) -> bool| {
+            every.iter().copied().filter(|&blob| holds(&finds[blob])).collect::<Vec<_>>()
+        };
+        let node_blobs = blobs(&|finds| finds.has_nodes);
+        let way_blobs = blobs(&|finds| finds.has_ways);
+        let relation_blobs = blobs(&|finds| finds.has_relations);
+        let (mut order, ways_before) = (Order::default(), all.ways.len());
+        let relations_before = all.relations.len();
+        for find in finds {
+            order.append(&find.order);
+            all.ways.extend(find.ways);
+            all.relations.extend(find.relations);
+            all.problems.extend(find.problems);
         }
+        let of_file = (&all.ways[ways_before..], &all.relations[relations_before..]);
+        let repeated = order.repeated.or_else(|| {
+            order.is_mixed.then(|| another_version(of_file.0, of_file.1)).flatten()
+        });
+        if let Some(object) = repeated {
+            return Err(file.several_versions(object));
+        }
+        extracts.push(Extracted { file, node_blobs, way_blobs, relation_blobs });
     }
     progress.end();
-    Ok(members)
+    Ok((extracts, all))
 }
 
-/// Third pass: coordinates of the nodes in use.
+/// An object of a file that is there in two versions, in a file that is not sorted.
+fn another_version(ways: &[RawWay], relations: &[RawRelation]) -> Option<ObjectId> {
+    let ways = ways.iter().map(|way| (ObjectId::Way(way.id), way.version));
+    let relations =
+        relations.iter().map(|relation| (ObjectId::Relation(relation.id), relation.version));
+    let mut versions = HashMap::new();
+    let mut objects = ways.chain(relations);
+    let other = objects.find(|(object, version)| *versions.entry(*object).or_insert(*version) != *version);
+    other.map(|(object, _)| object)
+}
+
+/// Members of relations that are members of relations, as far as they are needed.
+fn read_relations(
+    extracts: &[Extracted],
+    relations: &[RawRelation],
+    progress: &dyn Progress,
+) -> Result<HashMap<i64, Vec<(MemberId, Role)>>, PbfError> {
+    let inner = |members: &[(MemberId, Role)]| -> Vec<i64> {
+        let ids = members.iter().filter_map(|(member, _)| match member {
+            MemberId::Relation(id) => Some(*id),
+            MemberId::Way(_) => None,
+        });
+        ids.collect()
+    };
+    let mut found: HashMap<i64, Vec<(MemberId, Role)>> = HashMap::new();
+    let mut wanted: HashSet<i64> =
+        relations.iter().flat_map(|relation| inner(&relation.members)).collect();
+    for _ in 0..MAX_ROUNDS {
+        if wanted.is_empty() {
+            break;
+        }
+        let blobs = extracts.iter().map(|extract| extract.relation_blobs.len() as u64).sum();
+        progress.begin("reading relations in relations", Some(blobs));
+        let mut next = HashSet::new();
+        for Extracted { file, relation_blobs, .. } in extracts {
+            let finds = file.map(relation_blobs, progress, |block| {
+                let relations = block.primitivegroup.iter().flat_map(|group| &group.relations);
+                let wanted = relations.filter(|relation| wanted.contains(&relation.id()));
+                let rings = wanted.map(|relation| {
+                    let members = block::members(block, relation);
+                    let rings = members.filter_map(|(member, role)| match role {
+                        "outer" | "outline" => Some((member, Role::Outer)),
+                        "inner" => Some((member, Role::Inner)),
+                        "" => Some((member, Role::Any)),
+                        _ => None,
+                    });
+                    (relation.id(), rings.collect::<Vec<_>>())
+                });
+                rings.collect::<Vec<_>>()
+            })?;
+            for (id, members) in finds.into_iter().flatten() {
+                next.extend(inner(&members));
+                // Of several copies the one with most members.
+                let known = found.entry(id).or_default();
+                if members.len() > known.len() {
+                    *known = members;
+                }
+            }
+        }
+        progress.end();
+        next.retain(|id| !found.contains_key(id));
+        wanted = next;
+    }
+    Ok(found)
+}
+
+/// The nodes and heights of member ways of relations, all copies of each.
+fn read_members(
+    extracts: &[Extracted],
+    relations: &[RawRelation],
+    within: &HashMap<i64, Vec<(MemberId, Role)>>,
+    config: &BuildingsConfig,
+    progress: &dyn Progress,
+) -> Result<Vec<(i64, MemberWay)>, PbfError> {
+    let members = relations.iter().map(|relation| &relation.members).chain(within.values());
+    let wanted: HashSet<i64> = members
+        .flatten()
+        .filter_map(|(member, _)| match member {
+            MemberId::Way(id) => Some(*id),
+            MemberId::Relation(_) => None,
+        })
+        .collect();
+    let mut found = Vec::with_capacity(wanted.len());
+    if wanted.is_empty() {
+        return Ok(found);
+    }
+    let blobs = extracts.iter().map(|extract| extract.way_blobs.len() as u64).sum();
+    progress.begin("reading multipolygon members", Some(blobs));
+    for Extracted { file, way_blobs, .. } in extracts {
+        let finds = file.map(way_blobs, progress, |block| {
+            let ways = block.primitivegroup.iter().flat_map(|group| &group.ways);
+            let wanted = ways.filter(|way| {
+                wanted.contains(&way.id()) && block::is_visible(way.info.as_ref())
+            });
+            let member = |way| {
+                let tag = |key: &str| block::way_tag(block, way, key);
+                let told = told_height(&tag, 0.0, config, &mut vec![]);
+                let way_found = MemberWay {
+                    version: block::version(way.info.as_ref()),
+                    refs: block::way_refs(way),
+                    places: block::way_places(block, way),
+                    height_m: told.map(|(height_m, source)| (height_m as f32, source)),
+                };
+                (way.id(), way_found)
+            };
+            wanted.map(member).collect::<Vec<_>>()
+        })?;
+        found.extend(finds.into_iter().flatten());
+    }
+    progress.end();
+    Ok(found)
+}
+
+/// Last pass: coordinates of the nodes in use.
 fn read_nodes(
-    files: &[PbfFile],
-    node_blobs: &[Vec<usize>],
+    extracts: &[Extracted],
     ways: &[RawWay],
-    members: &HashMap<i64, Vec<i64>>,
+    members: &[(i64, MemberWay)],
     progress: &dyn Progress,
 ) -> Result<NodeTable, PbfError> {
-    let of_ways = ways.iter().flat_map(|way| &way.refs);
-    let mut nodes = NodeTable::new(of_ways.chain(members.values().flatten()).copied().collect());
-    progress.begin("reading node coordinates", Some(count(node_blobs)));
-    for (file, blobs) in files.iter().zip(node_blobs) {
-        let finds = file.map(blobs, progress, |block| nodes.find(block))?;
+    let of_ways = ways.iter().map(|way| (&way.refs, &way.places));
+    let of_members = members.iter().map(|(_, way)| (&way.refs, &way.places));
+    let used = || of_ways.clone().chain(of_members.clone());
+    let mut nodes = NodeTable::new(used().flat_map(|(refs, _)| refs).copied().collect());
+    let blobs = extracts.iter().map(|extract| extract.node_blobs.len() as u64).sum();
+    progress.begin("reading node coordinates", Some(blobs));
+    for Extracted { file, node_blobs, .. } in extracts {
+        let finds = file.map(node_blobs, progress, |block| nodes.find(block))?;
+        if let Some(id) = nodes.contradiction(&finds) {
+            return Err(file.several_versions(ObjectId::Node(id)));
+        }
         for found in finds {
             nodes.enter(found);
+        }
+    }
+    for (refs, places) in used() {
+        if let Some(places) = places {
+            nodes.enter_places(refs, places);
         }
     }
     progress.end();
     Ok(nodes)
 }
 
-fn count(blobs: &[Vec<usize>]) -> u64 {
-    blobs.iter().map(|blobs| blobs.len() as u64).sum()
+/// Counts the objects with building tags. One that is a building in one copy and none in another
+/// is a building.
+fn count_tagged(ways: &[RawWay], relations: &[RawRelation], problems: &mut Vec<Problem>) -> u64 {
+    let is_out = |problem: &Problem| matches!(problem.action, Action::LeftOut | Action::Skipped);
+    let mut out: BTreeMap<ObjectId, Defect> = BTreeMap::new();
+    for problem in problems.iter().filter(|problem| is_out(problem)) {
+        out.entry(problem.object).or_insert(problem.defect);
+    }
+    let ways = ways.iter().map(|way| ObjectId::Way(way.id));
+    let relations = relations.iter().filter(|relation| relation.attributes.is_some());
+    let relations = relations.map(|relation| ObjectId::Relation(relation.id));
+    let mut kept = 0;
+    for object in ways.chain(relations) {
+        kept += 1;
+        out.remove(&object);
+    }
+    problems.retain(|problem| {
+        !is_out(problem) || out.get(&problem.object).is_some_and(|first| *first == problem.defect)
+    });
+    kept + out.len() as u64
 }
 
-/// Whether a relation stands for one of its member ways that carries building tags itself:
-/// an outer ring would fill the relation's holes, a piece of a ring is no building.
-fn stands_for(
-    relation: &Building,
-    way: &RawWay,
-    footprint: Result<&MultiPolygon<f64>, &Defect>,
-) -> bool {
-    relation.attributes.kind == way.attributes.kind
-        && match footprint {
-            Ok(footprint) => {
-                let mut outers = relation.footprint.iter().map(Polygon::exterior);
-                outers.any(|outer| Some(outer) == footprint.0.first().map(Polygon::exterior))
-            }
-            Err(defect) => *defect == Defect::OpenWay,
-        }
-}
-
-/// Footprints of all objects, in parallel and in order.
-fn build(
-    ways: &[RawWay],
-    relations: &[RawRelation],
-    members: &HashMap<i64, Vec<i64>>,
-    projector: &Projector<'_>,
-    problems: &mut Vec<Problem>,
-) -> Vec<Building> {
-    type Built = (Option<Building>, Vec<Problem>);
-    let built = |object, attributes, defects: Vec<Defect>, footprint: Result<_, Defect>| {
-        let (footprint, fatal) = match footprint {
-            Ok(footprint) => (Some(footprint), None),
-            Err(defect) => (None, Some(defect)),
-        };
-        let problems: Vec<_> =
-            defects.into_iter().chain(fatal).map(|defect| Problem { object, defect }).collect();
-        (footprint.map(|footprint| Building { object, footprint, attributes }), problems)
-    };
-    let from_relations: Vec<Built> = relations
-        .par_iter()
-        .map(|relation| {
-            let mut defects = Vec::new();
-            let footprint = relation_footprint(relation, members, projector, &mut defects);
-            built(ObjectId::Relation(relation.id), relation.attributes, defects, footprint)
-        })
-        .collect();
-    let mut parents: HashMap<i64, Vec<&Building>> = HashMap::new();
-    for (relation, (building, _)) in relations.iter().zip(&from_relations) {
-        for (way, _) in building.iter().flat_map(|_| &relation.members) {
-            parents.entry(*way).or_default().extend(building);
-        }
-    }
-    let from_ways: Vec<Built> = ways
-        .par_iter()
-        .map(|way| {
-            let mut defects = Vec::new();
-            let mut footprint = way_footprint(way, projector, &mut defects);
-            let parents = parents.get(&way.id).into_iter().flatten();
-            if parents.into_iter().any(|parent| stands_for(parent, way, footprint.as_ref())) {
-                defects.clear();
-                footprint = Err(Defect::CoveredByRelation);
-            }
-            built(ObjectId::Way(way.id), way.attributes, defects, footprint)
-        })
-        .collect();
-    let mut buildings = Vec::with_capacity(from_ways.len() + from_relations.len());
-    for (building, found) in from_ways.into_iter().chain(from_relations) {
-        buildings.extend(building);
-        problems.extend(found);
-    }
-    buildings
+/// A row for what is raised outside of every outline.
+fn raised(city: &City) -> impl Iterator<Item = Problem> {
+    let buildings = city.buildings().iter().enumerate();
+    let raised = buildings.filter(|(at, building)| {
+        let attributes = &building.attributes;
+        attributes.raised && (attributes.kind == Kind::Outline || city.outlines_of(*at).is_empty())
+    });
+    let objects: BTreeSet<ObjectId> = raised.map(|(_, building)| building.object).collect();
+    objects.into_iter().map(|object| Problem::new(object, Defect::Raised))
 }

@@ -14,14 +14,21 @@ use osmpbfreader::osmformat::{HeaderBlock, PrimitiveBlock};
 use protobuf::Message;
 use rayon::prelude::*;
 
+use crate::building::ObjectId;
 use crate::error::{Fault, FileError, HasFault};
 use crate::progress::Progress;
 
 /// Limits that the format itself sets.
 const MAX_HEADER: u32 = 64 << 10;
 const MAX_BLOB: u32 = 32 << 20;
-/// Features that the data may demand of a reader; history files and future ones are refused.
-const FEATURES: [&str; 2] = ["OsmSchema-V0.6", "DenseNodes"];
+/// Features that the data may demand of a reader, and that this one has.
+const REQUIRED: [&str; 3] = ["OsmSchema-V0.6", "DenseNodes", LOCATIONS];
+/// The places of nodes are kept with the ways.
+const LOCATIONS: &str = "LocationsOnWays";
+/// Several versions of an object.
+const HISTORY: &str = "HistoricalInformation";
+/// Features that a reader may make use of, and that this one has or does not need.
+const OPTIONAL: [&str; 4] = [LOCATIONS, "Has_Metadata", "Sort.Type_then_ID", "Sort.Geographic"];
 
 /// Why a file is no readable extract.
 #[derive(Debug, thiserror::Error)]
@@ -39,7 +46,7 @@ pub enum PbfError {
     /// Some other kind of file.
     #[error(
         "{}: not an OpenStreetMap PBF file ({reason}); \
-         convert other formats with `osmium cat -o extract.osm.pbf`", path.display()
+         convert other formats with `osmium cat {} -o extract.osm.pbf`", path.display(), path.display()
     )]
     NotPbf {
         /// The file.
@@ -87,7 +94,19 @@ pub enum PbfError {
         /// The feature.
         feature: String,
         /// What to do about it.
-        mend: &'static str,
+        mend: String,
+    },
+    /// The file holds an object in several versions.
+    #[error(
+        "{0}: {object} is there in several versions, expected one; take the latest of each with \
+         `osmium sort {0} -o sorted.osm.pbf && osmium time-filter sorted.osm.pbf -o extract.osm.pbf`",
+         path.display()
+    )]
+    SeveralVersions {
+        /// The file.
+        path: PathBuf,
+        /// One such object.
+        object: ObjectId,
     },
 }
 
@@ -112,6 +131,7 @@ pub(super) struct PbfFile {
     path: PathBuf,
     file: File,
     blobs: Vec<BlobEntry>,
+    unknown_features: Vec<String>,
 }
 
 impl PbfFile {
@@ -119,7 +139,8 @@ impl PbfFile {
     pub(super) fn open(path: &Path) -> Result<Self, PbfError> {
         let file = File::open(path).map_err(FileError::new("open", path))?;
         let size = file.metadata().map_err(FileError::new("read", path))?.len();
-        let mut this = Self { path: path.to_owned(), file, blobs: Vec::new() };
+        let mut this =
+            Self { path: path.to_owned(), file, blobs: Vec::new(), unknown_features: Vec::new() };
         if size == 0 {
             return Err(PbfError::Empty { path: this.path });
         }
@@ -139,6 +160,21 @@ impl PbfFile {
             blob += 1;
         }
         Ok(this)
+    }
+
+    /// Optional features that this reader does not know.
+    pub(super) fn unknown_features(&self) -> &[String] {
+        &self.unknown_features
+    }
+
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The error for an object that is there in several versions.
+    pub(super) fn several_versions(&self, object: ObjectId) -> PbfError {
+        PbfError::SeveralVersions { path: self.path.clone(), object }
     }
 
     /// Number of data blobs.
@@ -213,18 +249,26 @@ impl PbfFile {
         Ok((header.type_().to_owned(), BlobEntry { offset, bytes }))
     }
 
-    fn check_header(&self, entry: BlobEntry) -> Result<(), PbfError> {
+    fn check_header(&mut self, entry: BlobEntry) -> Result<(), PbfError> {
         let bytes = self.unpack(0, entry)?;
         let header = HeaderBlock::parse_from_bytes(&bytes)
             .map_err(|error| self.not_pbf(format!("header: {error}")))?;
-        match header.required_features.iter().find(|name| !FEATURES.contains(&name.as_str())) {
-            None => Ok(()),
-            Some(feature) => Err(PbfError::Unsupported {
-                path: self.path.clone(),
-                feature: format!("the feature {feature:?}"),
-                mend: "make a plain extract with `osmium cat`",
-            }),
-        }
+        let is_optional =
+            |name: &&String| !OPTIONAL.contains(&name.as_str()) && !name.starts_with("timestamp=");
+        self.unknown_features =
+            header.optional_features.iter().filter(is_optional).cloned().collect();
+        let mut required = header.required_features.iter();
+        let Some(feature) = required.find(|name| !REQUIRED.contains(&name.as_str())) else {
+            return Ok(());
+        };
+        let file = self.path.display();
+        let mend = if feature == HISTORY {
+            format!("take the latest state with `osmium time-filter {file} -o extract.osm.pbf`")
+        } else {
+            format!("make a plain extract with `osmium cat {file} -o extract.osm.pbf`")
+        };
+        let feature = format!("the feature {feature:?}");
+        Err(PbfError::Unsupported { path: self.path.clone(), feature, mend })
     }
 
     /// The content of a blob, decompressed within the format's limit.
@@ -241,7 +285,10 @@ impl PbfFile {
             return Err(PbfError::Unsupported {
                 path: self.path.clone(),
                 feature: "a compression other than zlib".to_owned(),
-                mend: "rewrite it with `osmium cat -f pbf,pbf_compression=zlib`",
+                mend: format!(
+                    "rewrite it with `osmium cat {} -f pbf,pbf_compression=zlib -o extract.osm.pbf`",
+                    self.path.display()
+                ),
             });
         }
         let declared = u32::try_from(content.raw_size()).ok().filter(|&size| size <= MAX_BLOB);

@@ -4,11 +4,18 @@
 
 use std::collections::HashMap;
 
+/// A ring, and the ways that it was assembled from, by their index.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct ClosedRing {
+    /// Its nodes; the last repeats the first.
+    pub(super) nodes: Vec<i64>,
+    pub(super) ways: Vec<usize>,
+}
+
 /// What could be assembled.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Rings {
-    /// Closed rings; the last node repeats the first.
-    pub(super) closed: Vec<Vec<i64>>,
+    pub(super) closed: Vec<ClosedRing>,
     /// Whether some ways are part of no ring.
     pub(super) leftover: bool,
 }
@@ -21,17 +28,17 @@ pub(super) struct Rings {
 pub(super) fn assemble(ways: &[&[i64]]) -> Rings {
     let mut rings = Rings::default();
     let mut open = Vec::new();
-    for way in ways {
+    for (index, way) in ways.iter().enumerate() {
         match (way.first(), way.last()) {
             (Some(first), Some(last)) if first == last && way.len() > 1 => {
-                rings.closed.push(way.to_vec());
+                rings.closed.push(ClosedRing { nodes: way.to_vec(), ways: vec![index] });
             }
-            (Some(_), Some(_)) if way.len() > 1 => open.push(*way),
+            (Some(_), Some(_)) if way.len() > 1 => open.push((index, *way)),
             _ => rings.leftover = true,
         }
     }
     let mut ends: HashMap<i64, Vec<usize>> = HashMap::new();
-    for (index, way) in open.iter().enumerate() {
+    for (index, (_, way)) in open.iter().enumerate() {
         ends.entry(way[0]).or_default().push(index);
         ends.entry(way[way.len() - 1]).or_default().push(index);
     }
@@ -42,7 +49,7 @@ pub(super) fn assemble(ways: &[&[i64]]) -> Rings {
         }
         // The path as (way, whether it is walked backwards), and the nodes between them.
         let mut path: Vec<(usize, bool)> = Vec::new();
-        let mut junctions = vec![open[start][0]];
+        let mut junctions = vec![open[start].1[0]];
         while let Some(&here) = junctions.last() {
             let next = ends[&here].iter().copied().find(|&way| !used[way]);
             let Some(next) = next else {
@@ -52,8 +59,9 @@ pub(super) fn assemble(ways: &[&[i64]]) -> Rings {
                 continue;
             };
             used[next] = true;
-            let backwards = open[next][0] != here;
-            let there = if backwards { open[next][0] } else { open[next][open[next].len() - 1] };
+            let (_, way) = open[next];
+            let backwards = way[0] != here;
+            let there = if backwards { way[0] } else { way[way.len() - 1] };
             path.push((next, backwards));
             match junctions.iter().position(|&node| node == there) {
                 None => junctions.push(there),
@@ -68,17 +76,18 @@ pub(super) fn assemble(ways: &[&[i64]]) -> Rings {
     rings
 }
 
-fn join(ways: &[&[i64]], path: &[(usize, bool)]) -> Vec<i64> {
-    let mut ring: Vec<i64> = Vec::new();
+fn join(ways: &[(usize, &[i64])], path: &[(usize, bool)]) -> ClosedRing {
+    let mut nodes: Vec<i64> = Vec::new();
     for &(way, backwards) in path {
-        let skip = usize::from(!ring.is_empty());
+        let (_, way) = ways[way];
+        let skip = usize::from(!nodes.is_empty());
         if backwards {
-            ring.extend(ways[way].iter().rev().skip(skip));
+            nodes.extend(way.iter().rev().skip(skip));
         } else {
-            ring.extend(ways[way].iter().skip(skip));
+            nodes.extend(way.iter().skip(skip));
         }
     }
-    ring
+    ClosedRing { nodes, ways: path.iter().map(|&(way, _)| ways[way].0).collect() }
 }
 
 #[cfg(test)]
@@ -89,13 +98,14 @@ mod tests {
     #[test]
     fn open_ways_in_any_order_and_direction_close() {
         let rings = assemble(&[&[1, 2, 3], &[5, 4, 3], &[1, 6, 5]]);
-        assert_eq!(rings, Rings { closed: vec![vec![1, 2, 3, 4, 5, 6, 1]], leftover: false });
+        let ring = ClosedRing { nodes: vec![1, 2, 3, 4, 5, 6, 1], ways: vec![0, 1, 2] };
+        assert_eq!(rings, Rings { closed: vec![ring], leftover: false });
     }
 
     #[test]
     fn rings_that_touch_in_a_node_are_told_apart() {
         let rings = assemble(&[&[1, 2, 9], &[9, 3, 1], &[9, 4, 5], &[5, 6, 9]]);
-        let mut lengths: Vec<_> = rings.closed.iter().map(Vec::len).collect();
+        let mut lengths: Vec<_> = rings.closed.iter().map(|ring| ring.nodes.len()).collect();
         lengths.sort_unstable();
         assert_eq!((lengths, rings.leftover), (vec![5, 5], false));
     }
@@ -138,7 +148,10 @@ mod tests {
             let rings = assemble(&views);
             prop_assert!(!rings.leftover);
             prop_assert_eq!(rings.closed.len(), 1);
-            let mut nodes = rings.closed[0].clone();
+            let mut used = rings.closed[0].ways.clone();
+            used.sort_unstable();
+            prop_assert_eq!(used, (0..ways.len()).collect::<Vec<_>>());
+            let mut nodes = rings.closed[0].nodes.clone();
             prop_assert_eq!(nodes.first(), nodes.last());
             nodes.pop();
             nodes.sort_unstable();

@@ -1,38 +1,25 @@
-//! The tiles that buildings fill, and which buildings may touch which tile.
+//! The tiles that the buildings of a city fill.
 
 use std::collections::BTreeSet;
 
-use geo::{BoundingRect, Rect};
-
 use super::tile::{HeightGrid, rasterise_tile};
-use crate::building::Building;
+use crate::building::City;
 use crate::config::GridConfig;
 use crate::crs::Utm;
-use crate::grid::{BoxIndex, TileId};
+use crate::grid::TileId;
 
-/// Makes tiles of buildings, which are sorted into blocks as wide as the lattice's spacing.
+/// Makes tiles of a city.
 pub struct TileSource<'a> {
-    buildings: &'a [Building],
-    index: BoxIndex,
+    city: &'a City,
     grid: &'a GridConfig,
     utm: Utm,
 }
 
 impl<'a> TileSource<'a> {
-    /// Sorts buildings whose footprints are in metres of a UTM zone.
-    ///
-    /// # Panics
-    /// If a footprint has no ring at all.
+    /// Tiles of a lattice in the projection of the city.
     #[must_use]
-    pub fn new(buildings: &'a [Building], grid: &'a GridConfig, utm: Utm) -> Self {
-        let boxes: Vec<Rect<f64>> = buildings
-            .iter()
-            .map(|building| {
-                building.footprint.bounding_rect().expect("a footprint has at least one ring")
-            })
-            .collect();
-        let index = BoxIndex::new(boxes, f64::from(grid.spacing_m));
-        Self { buildings, index, grid, utm }
+    pub fn new(city: &'a City, grid: &'a GridConfig, utm: Utm) -> Self {
+        Self { city, grid, utm }
     }
 
     /// All tiles of the lattice that some building's bounding box meets.
@@ -41,7 +28,7 @@ impl<'a> TileSource<'a> {
         let half = f64::from(self.grid.side_m) / 2.0;
         let spacing = i64::from(self.grid.spacing_m);
         let mut tiles = BTreeSet::new();
-        for bounds in self.index.boxes() {
+        for bounds in self.city.boxes() {
             let range = |low: f64, high: f64| {
                 let first = ((low - half) / spacing as f64).ceil() as i64;
                 let last = ((high + half) / spacing as f64).floor() as i64;
@@ -60,9 +47,7 @@ impl<'a> TileSource<'a> {
     /// Rasterises one tile.
     #[must_use]
     pub fn rasterise(&self, tile: TileId) -> HeightGrid {
-        let meeting = self.index.meeting(&tile.square(self.grid.side_m.into()));
-        let buildings: Vec<&Building> =
-            meeting.into_iter().map(|index| &self.buildings[index]).collect();
-        rasterise_tile(tile, self.grid, &buildings)
+        let buildings = self.city.meeting(&tile.square(self.grid.side_m.into()));
+        rasterise_tile(tile, self.grid, self.city, &buildings)
     }
 }

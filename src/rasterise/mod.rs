@@ -8,6 +8,7 @@ mod index;
 mod scanline;
 mod stage;
 mod tile;
+mod unseen;
 
 pub use index::TileSource;
 pub use scanline::Scanline;

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::index::TileSource;
 use super::tile::HeightGrid;
+use super::unseen::without_cells;
 use crate::building::{Action, Building, Defect, HeightSource, Kind, Problem};
 use crate::config::{Config, FilterConfig, GridConfig};
 use crate::error::{Fault, FileError, HasFault};
@@ -80,7 +81,7 @@ impl From<FileError> for RasteriseError {
 /// What to rasterise and where to.
 #[derive(Debug, Clone, Copy)]
 pub struct TilesJob<'a> {
-    /// Extracts; of an object in several, the first is taken.
+    /// Extracts; of an object in several, the whole copy is taken.
     pub osm: &'a [PathBuf],
     /// The part to cover.
     pub area: &'a Area,
@@ -121,9 +122,11 @@ pub fn build_tiles(
         return Ok(built);
     }
 
-    let Extract { buildings, utm, problems } =
+    let Extract { city, utm, mut problems, tagged } =
         read_buildings(job.osm, &config.buildings, grid.epsg, job.area, progress)?;
-    let source = TileSource::new(&buildings, grid, utm);
+    problems.extend(without_cells(&city, grid));
+    problems.sort_unstable();
+    let source = TileSource::new(&city, grid, utm);
     let candidates = select(&source, job.area, grid)?;
 
     let mut output = OutputDir::begin(job.out, "tiles", &fingerprint, job.mode)?;
@@ -158,7 +161,7 @@ pub fn build_tiles(
         area,
         config,
         inputs,
-        buildings: count_buildings(&buildings),
+        buildings: count_buildings(city.buildings(), tagged),
         problems: count_problems(&problems),
         verdicts,
         tiles: candidates.into_iter().filter_map(entry).collect(),
@@ -273,11 +276,13 @@ fn entry(candidate: Candidate) -> Option<TileEntry> {
     Some(TileEntry { id, file: file_name(id), digest: digest?, statistics })
 }
 
-fn count_buildings(buildings: &[Building]) -> BuildingCounts {
-    let mut counts = BuildingCounts::default();
-    for Building { attributes, .. } in buildings {
-        *match (attributes.elevated, attributes.kind) {
-            (true, _) => &mut counts.elevated,
+fn count_buildings(buildings: &[Building], tagged: u64) -> BuildingCounts {
+    let mut counts = BuildingCounts { tagged, ..BuildingCounts::default() };
+    // The pieces of a relation follow each other.
+    for pieces in buildings.chunk_by(|a, b| a.object == b.object) {
+        let Building { attributes, .. } = &pieces[0];
+        *match (attributes.raised, attributes.kind) {
+            (true, _) => &mut counts.raised,
             (false, Kind::Outline) => &mut counts.outlines,
             (false, Kind::Part) => &mut counts.parts,
         } += 1;
@@ -292,8 +297,8 @@ fn count_buildings(buildings: &[Building]) -> BuildingCounts {
 
 fn count_problems(problems: &[Problem]) -> BTreeMap<Action, BTreeMap<Defect, u64>> {
     let mut counts: BTreeMap<Action, BTreeMap<Defect, u64>> = BTreeMap::new();
-    for Problem { defect, .. } in problems {
-        *counts.entry(defect.action()).or_default().entry(*defect).or_default() += 1;
+    for Problem { defect, action, .. } in problems {
+        *counts.entry(*action).or_default().entry(*defect).or_default() += 1;
     }
     counts
 }
@@ -338,8 +343,8 @@ fn tiles_csv(candidates: &[Candidate]) -> Vec<u8> {
 fn problems_csv(problems: &[Problem]) -> Vec<u8> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     csv.write_record(["object", "code", "action"]).expect("writing to memory cannot fail");
-    for Problem { object, defect } in problems {
-        let row = [&object.to_string(), defect.name(), defect.action().name()];
+    for Problem { object, defect, action } in problems {
+        let row = [&object.to_string(), defect.name(), action.name()];
         csv.write_record(row).expect("writing to memory cannot fail");
     }
     csv.into_inner().expect("writing to memory cannot fail")

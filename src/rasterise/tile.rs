@@ -1,9 +1,11 @@
-//! One tile: which building is on top of each cell.
+//! One tile: the prisms over each cell (`building::Prism`), the highest of them.
+
+use std::ops::Range;
 
 use ndarray::Array2;
 
 use super::scanline::Scanline;
-use crate::building::{Attributes, Building, Kind};
+use crate::building::{Building, City, Kind, Limits, ObjectId, Prism};
 use crate::config::GridConfig;
 use crate::grid::{TileId, Window};
 use crate::manifest::{BuiltBySource, TileStatistics};
@@ -20,22 +22,17 @@ pub struct HeightGrid {
     pub statistics: TileStatistics,
 }
 
-/// Order of painting. Parts come after all outlines and thus replace them; what is elevated
-/// comes last and only raises what is there.
-fn layer(attributes: &Attributes) -> u8 {
-    match (attributes.elevated, attributes.kind) {
-        (false, Kind::Outline) => 0,
-        (false, Kind::Part) => 1,
-        (true, _) => 2,
-    }
-}
-
-/// Rasterises the buildings that may touch a tile.
+/// Rasterises the buildings that may touch a tile, by their indices in the city.
 ///
-/// Overlaps take the highest, because within each layer lower buildings are painted first;
-/// of equal heights the better known one wins.
+/// Lower prisms are painted first, so the highest stays; of equal heights the better known one
+/// wins. What floats comes last and only raises what is there.
 #[must_use]
-pub fn rasterise_tile(tile: TileId, grid: &GridConfig, buildings: &[&Building]) -> HeightGrid {
+pub fn rasterise_tile(
+    tile: TileId,
+    grid: &GridConfig,
+    city: &City,
+    buildings: &[usize],
+) -> HeightGrid {
     let cells = grid.side_cells();
     let window = Window::around(tile, grid.cell_m, cells);
     let mut height_m = Array2::<f32>::zeros((cells, cells));
@@ -44,40 +41,39 @@ pub fn rasterise_tile(tile: TileId, grid: &GridConfig, buildings: &[&Building]) 
     let heights = height_m.as_slice_mut().expect("a new array is contiguous");
     let sources = height_source.as_slice_mut().expect("a new array is contiguous");
 
-    let mut order: Vec<&Building> = buildings.to_vec();
-    order.sort_unstable_by(|a, b| {
-        let (one, other) = (&a.attributes, &b.attributes);
-        layer(one)
-            .cmp(&layer(other))
-            .then_with(|| one.height_m.total_cmp(&other.height_m))
-            .then_with(|| other.source.cmp(&one.source))
-            .then_with(|| a.object.cmp(&b.object))
+    let mut prisms: Vec<&Prism> = buildings.iter().flat_map(|&at| city.prisms_of(at)).collect();
+    prisms.sort_unstable_by(|a, b| {
+        a.floats
+            .cmp(&b.floats)
+            .then_with(|| a.top_m.total_cmp(&b.top_m))
+            .then_with(|| b.source.cmp(&a.source))
+            .then_with(|| a.building.cmp(&b.building))
     });
-    let mut scanline = Scanline::default();
-    let mut buildings_in_tile = 0;
-    for building in order {
-        let Attributes { height_m: top, source, .. } = building.attributes;
-        let layer = layer(&building.attributes);
-        let mut has_cells = false;
-        for polygon in &building.footprint {
-            scanline.fill(polygon, &window, |row, columns| {
-                has_cells = true;
-                let run = row * cells + columns.start..row * cells + columns.end;
-                if layer < 2 {
-                    heights[run.clone()].fill(top);
-                    sources[run].fill(source as u8);
-                } else {
-                    let covered = heights[run.clone()].iter_mut().zip(&mut sources[run]);
-                    for (height, known) in covered.filter(|(height, _)| **height > 0.0) {
-                        if top > *height {
-                            (*height, *known) = (top, source as u8);
-                        }
-                    }
+    let mut painter = Painter::new(city, window);
+    let mut painted: Vec<ObjectId> = Vec::new();
+    for Prism { building, limits, top_m, source, floats, .. } in prisms {
+        let Building { object, attributes, .. } = &city.buildings()[*building as usize];
+        let has_cells = painter.paint(*building, limits.as_deref(), |row, columns| {
+            let run = row * cells + columns.start..row * cells + columns.end;
+            if !floats {
+                heights[run.clone()].fill(*top_m);
+                sources[run].fill(*source as u8);
+                return;
+            }
+            let covered = heights[run.clone()].iter_mut().zip(&mut sources[run]);
+            for (height, known) in covered.filter(|(height, _)| **height > 0.0) {
+                if top_m > height {
+                    (*height, *known) = (*top_m, *source as u8);
                 }
-            });
+            }
+        });
+        if has_cells && attributes.kind == Kind::Outline && !attributes.raised {
+            painted.push(*object);
         }
-        buildings_in_tile += u32::from(has_cells && layer == 0);
     }
+    // A relation may be several buildings, one for each height of its rings.
+    painted.sort_unstable();
+    painted.dedup();
 
     let mut by_source = [0_u64; 4];
     for row in crop.clone() {
@@ -88,12 +84,108 @@ pub fn rasterise_tile(tile: TileId, grid: &GridConfig, buildings: &[&Building]) 
     let [_, height, levels, default] = by_source;
     let built_cells = BuiltBySource { height, levels, default };
     let statistics = TileStatistics {
-        buildings: buildings_in_tile,
+        buildings: painted.len() as u32,
         built: built_cells.total() as f64 / (crop.len() * crop.len()) as f64,
         max_height_m: heights.iter().copied().fold(0.0, f32::max),
         built_cells,
     };
     HeightGrid { height_m, height_source, statistics }
+}
+
+/// Finds the cells of footprints and of regions within them.
+struct Painter<'a> {
+    city: &'a City,
+    window: Window,
+    scanline: Scanline,
+    others: Scanline,
+    /// What covers each cell of the box around a footprint: a bit for each list of
+    /// [`Limits::within`], and [`Self::WITHOUT`].
+    mask: Vec<u8>,
+}
+
+impl<'a> Painter<'a> {
+    const WITHOUT: u8 = 1 << 7;
+
+    fn new(city: &'a City, window: Window) -> Self {
+        let (scanline, others) = (Scanline::default(), Scanline::default());
+        Self { city, window, scanline, others, mask: Vec::new() }
+    }
+
+    /// Calls `paint(row, columns)` for the runs of cells of a building's footprint that lie within
+    /// limits. Returns whether the footprint itself has a cell.
+    fn paint(
+        &mut self,
+        building: u32,
+        limits: Option<&Limits>,
+        mut paint: impl FnMut(usize, Range<usize>),
+    ) -> bool {
+        let city = self.city;
+        let footprint = &city.buildings()[building as usize].footprint;
+        let mut has_cells = false;
+        let Some(limits) = limits else {
+            for polygon in footprint {
+                self.scanline.fill(polygon, &self.window, |row, columns| {
+                    has_cells = true;
+                    paint(row, columns);
+                });
+            }
+            return has_cells;
+        };
+        let (rows, columns) = self.cells_around(building);
+        if rows.is_empty() || columns.is_empty() {
+            return false;
+        }
+        self.mask.clear();
+        self.mask.resize(rows.len() * columns.len(), 0);
+        for (list, within) in limits.within.iter().enumerate() {
+            self.cover(within, 1 << list, &rows, &columns);
+        }
+        self.cover(&limits.without, Self::WITHOUT, &rows, &columns);
+        let wanted = (1_u8 << limits.within.len()) - 1;
+        for polygon in footprint {
+            self.scanline.fill(polygon, &self.window, |row, run| {
+                has_cells = true;
+                let at = (row - rows.start) * columns.len();
+                let mask = &self.mask[at + run.start - columns.start..at + run.end - columns.start];
+                let mut column = run.start;
+                for same in mask.chunk_by(|a, b| (*a == wanted) == (*b == wanted)) {
+                    if same[0] == wanted {
+                        paint(row, column..column + same.len());
+                    }
+                    column += same.len();
+                }
+            });
+        }
+        has_cells
+    }
+
+    /// Sets a bit of the mask for the cells of footprints.
+    fn cover(&mut self, footprints: &[u32], bit: u8, rows: &Range<usize>, columns: &Range<usize>) {
+        for &other in footprints {
+            let city = self.city;
+            for polygon in &city.buildings()[other as usize].footprint {
+                self.others.fill(polygon, &self.window, |row, run| {
+                    let start = run.start.max(columns.start);
+                    let end = run.end.min(columns.end);
+                    if rows.contains(&row) && start < end {
+                        let at = (row - rows.start) * columns.len();
+                        let cells = at + start - columns.start..at + end - columns.start;
+                        self.mask[cells].iter_mut().for_each(|mask| *mask |= bit);
+                    }
+                });
+            }
+        }
+    }
+
+    /// Rows and columns that hold all cells of a footprint.
+    fn cells_around(&self, building: u32) -> (Range<usize>, Range<usize>) {
+        let bounds = self.city.boxes()[building as usize];
+        let rows = self.window.rows_between(bounds.min().y, bounds.max().y);
+        // A crossing may be rounded beyond the end of its edge.
+        let first = self.window.first_column_from(bounds.min().x).saturating_sub(1);
+        let end = (self.window.first_column_from(bounds.max().x) + 1).min(self.window.cells);
+        (rows, first..end)
+    }
 }
 
 #[cfg(test)]

@@ -27,35 +27,37 @@ pub(super) struct Region {
 }
 
 impl Region {
-    /// A footprint (metres of a projection) without other footprints.
+    /// What of a footprint (metres of a projection) lies within one of the footprints of each list
+    /// and in none of some others.
     ///
     /// Each polygon is taken with the even-odd rule over all its rings, and polygons are united.
-    pub(super) fn new(footprint: &MultiPolygon<f64>, without: &[&MultiPolygon<f64>]) -> Self {
+    pub(super) fn new(
+        footprint: &MultiPolygon<f64>,
+        within: &[Vec<&MultiPolygon<f64>>],
+        without: &[&MultiPolygon<f64>],
+    ) -> Self {
         let origin = footprint.bounding_rect().map_or([0; 2], |bounds| {
             let center = bounds.center();
             [center.x.round() as i64, center.y.round() as i64]
         });
-        // Points where contours touch stay corners of both, or faces would meet at half an edge.
-        let options = IntOverlayOptions::keep_output_points();
-        let mut overlay = Overlay::new_custom(0, options, Solver::default());
-        let shapes = match &footprint.0[..] {
-            [polygon] if without.is_empty() => {
+        let cut = |footprints: &[&MultiPolygon<f64>]| -> Vec<IntShapes> {
+            let polygons = footprints.iter().flat_map(|footprint| &footprint.0);
+            polygons.map(|polygon| clean(&rings(polygon, origin))).collect()
+        };
+        let mut shapes = match &footprint.0[..] {
+            [polygon] => {
+                let mut overlay = overlay();
                 overlay.add_contours(&rings(polygon, origin), ShapeType::Subject);
                 overlay.overlay(OverlayRule::Subject, FillRule::EvenOdd)
             }
-            polygons => {
-                let add = |overlay: &mut Overlay, polygons: &[Polygon<f64>], kind| {
-                    for polygon in polygons {
-                        overlay.add_shapes(&clean(&rings(polygon, origin)), kind);
-                    }
-                };
-                add(&mut overlay, polygons, ShapeType::Subject);
-                for other in without {
-                    add(&mut overlay, &other.0, ShapeType::Clip);
-                }
-                overlay.overlay(OverlayRule::Difference, FillRule::NonZero)
-            }
+            _ => combine(&cut(&[footprint]), &[], OverlayRule::Subject),
         };
+        for footprints in within {
+            shapes = combine(&[shapes], &cut(footprints), OverlayRule::Intersect);
+        }
+        if !without.is_empty() {
+            shapes = combine(&[shapes], &cut(without), OverlayRule::Difference);
+        }
         Self { origin, shapes }
     }
 
@@ -108,6 +110,23 @@ fn rings(polygon: &Polygon<f64>, origin: [i64; 2]) -> Vec<IntContour> {
 pub(super) fn snap([x, y]: [f64; 2], [easting, northing]: [i64; 2]) -> IntPoint {
     let step = |value: f64, origin: i64| ((value - origin as f64) * STEPS_PER_M + 0.5).floor();
     IntPoint::new(step(x, easting) as i32, step(y, northing) as i32)
+}
+
+/// An operation on shapes that the even-odd rule has cleaned.
+fn combine(subjects: &[IntShapes], clips: &[IntShapes], rule: OverlayRule) -> IntShapes {
+    let mut overlay = overlay();
+    for shapes in subjects {
+        overlay.add_shapes(shapes, ShapeType::Subject);
+    }
+    for shapes in clips {
+        overlay.add_shapes(shapes, ShapeType::Clip);
+    }
+    overlay.overlay(rule, FillRule::NonZero)
+}
+
+/// Points where contours touch stay corners of both, or faces would meet at half an edge.
+fn overlay() -> Overlay {
+    Overlay::new_custom(0, IntOverlayOptions::keep_output_points(), Solver::default())
 }
 
 /// What the even-odd rule makes of rings: shapes that may be united and taken off.

@@ -1,22 +1,12 @@
-//! Closed prisms, and which of them buildings become.
-//!
-//! They follow what the height grid does (`rasterise::tile`): parts replace the outline where
-//! they cover it, what is elevated floats.
+//! The prisms of buildings (`building::Prism`) as closed meshes.
 
-use geo::{BoundingRect, MultiPolygon, Rect};
+use geo::{MultiPolygon, Rect};
 use rayon::prelude::*;
 
 use super::cap::{Cap, NotConforming};
 use super::region::{Region, STEPS_PER_M, snap};
-use crate::building::{Attributes, Building, Kind};
-use crate::grid::BoxIndex;
+use crate::building::{City, Prism};
 use crate::manifest::LeftOutSolids;
-
-/// Thickness of what is known to be elevated but not from where on (`building=roof` without
-/// `min_height`), in metres: that of a roof.
-const SLAB_M: f32 = 0.3;
-/// Side of the blocks that parts are sorted into, in metres: wider than most.
-const BLOCK_M: f64 = 256.0;
 
 /// A closed prism over a footprint.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,20 +35,32 @@ impl From<NotConforming> for NoSolid {
 }
 
 impl Solid {
-    /// A prism over what is left of a footprint without others.
+    /// A prism over a region of a footprint.
     fn new(
         footprint: &MultiPolygon<f64>,
+        within: &[Vec<&MultiPolygon<f64>>],
         without: &[&MultiPolygon<f64>],
         [bottom_m, top_m]: [f32; 2],
     ) -> Result<Self, NoSolid> {
         if bottom_m >= top_m {
             return Err(NoSolid::NoHeight);
         }
-        let region = Region::new(footprint, without);
-        let empty = if without.is_empty() { NoSolid::NoArea } else { NoSolid::CoveredByParts };
+        let region = Region::new(footprint, within, without);
+        let is_cut = !(within.is_empty() && without.is_empty());
+        let empty = if is_cut { NoSolid::CoveredByParts } else { NoSolid::NoArea };
         let bounds = region.bounds().ok_or(empty)?;
         let cap = Cap::new(&region.shapes)?;
         Ok(Self { origin: region.origin, cap, bounds, bottom_m, top_m })
+    }
+
+    fn of_prism(city: &City, prism: &Prism) -> Result<Self, NoSolid> {
+        let footprint = |at: &u32| &city.buildings()[*at as usize].footprint;
+        let limits = prism.limits.as_deref();
+        let within = limits.iter().flat_map(|limits| &limits.within);
+        let within: Vec<Vec<_>> = within.map(|list| list.iter().map(footprint).collect()).collect();
+        let without = limits.iter().flat_map(|limits| &limits.without);
+        let without: Vec<_> = without.map(footprint).collect();
+        Self::new(footprint(&prism.building), &within, &without, [prism.bottom_m, prism.top_m])
     }
 
     /// Bounding box, in metres of the projection.
@@ -119,62 +121,39 @@ pub struct Solids {
     pub left_out: LeftOutSolids,
 }
 
-/// Makes solids of buildings.
-///
-/// - A building on the ground stands on what parts on the ground leave of its footprint.
-/// - A part stands on its own footprint, from its `min_height` on.
-/// - What is elevated floats between `min_height` and its height; where the underside is not
-///   known it is a slab 0.3 m thick below its height.
-///
-/// `flight_height_m` is the one that buildings were classified with. The order of the solids is
-/// that of the buildings, with any number of threads.
+/// Makes solids of the prisms of a city. Their order is that of the buildings, with any number of
+/// threads.
 #[must_use]
-pub fn extrude(buildings: &[Building], flight_height_m: f64) -> Solids {
-    let parts: Vec<&Building> = buildings.iter().filter(|building| is_part(building)).collect();
-    let boxes = parts.iter().map(|part| bounds(&part.footprint)).collect();
-    let index = BoxIndex::new(boxes, BLOCK_M);
-    let made: Vec<Result<Solid, NoSolid>> = buildings
-        .par_iter()
-        .map(|building| {
-            let Building { footprint, attributes, .. } = building;
-            let heights = heights(attributes, flight_height_m);
-            if attributes.elevated || attributes.kind == Kind::Part {
-                return Solid::new(footprint, &[], heights);
-            }
-            let near = index.meeting(&bounds(footprint));
-            let parts: Vec<_> = near.into_iter().map(|part| &parts[part].footprint).collect();
-            Solid::new(footprint, &parts, heights)
+pub fn extrude(city: &City) -> Solids {
+    let made: Vec<Vec<Result<Solid, NoSolid>>> = (0..city.buildings().len())
+        .into_par_iter()
+        .map(|at| {
+            let prisms = city.prisms_of(at).iter();
+            prisms.map(|prism| Solid::of_prism(city, prism)).collect()
         })
         .collect();
     let mut left_out = LeftOutSolids::default();
     let mut solids = Vec::with_capacity(made.len());
-    for solid in made {
-        match solid {
-            Ok(solid) => solids.push(solid),
-            Err(NoSolid::NoHeight) => left_out.no_height += 1,
-            Err(NoSolid::CoveredByParts) => left_out.covered_by_parts += 1,
-            Err(NoSolid::NoArea) => left_out.no_area += 1,
-            Err(NoSolid::NotConforming) => left_out.not_closed += 1,
+    for of_one in made {
+        // That a piece of a building is empty matters only if all are.
+        let is_there = of_one.iter().any(Result::is_ok);
+        let mut reasons = Vec::new();
+        for solid in of_one {
+            match solid {
+                Ok(solid) => solids.push(solid),
+                Err(NoSolid::NotConforming) => left_out.not_closed += 1,
+                Err(reason) => reasons.push(reason),
+            }
+        }
+        match reasons.first() {
+            Some(_) if is_there => {}
+            Some(NoSolid::NoHeight) => left_out.no_height += 1,
+            Some(NoSolid::CoveredByParts) => left_out.covered_by_parts += 1,
+            Some(NoSolid::NoArea) => left_out.no_area += 1,
+            Some(NoSolid::NotConforming) | None => {}
         }
     }
     Solids { solids, left_out }
-}
-
-/// Whether a building is a part that replaces outlines where it covers them.
-fn is_part(building: &Building) -> bool {
-    building.attributes.kind == Kind::Part && !building.attributes.elevated
-}
-
-fn bounds(footprint: &MultiPolygon<f64>) -> Rect<f64> {
-    footprint.bounding_rect().expect("a footprint has at least one ring")
-}
-
-/// Bottom and top of a building, in metres over the ground.
-fn heights(attributes: &Attributes, flight_height_m: f64) -> [f32; 2] {
-    let Attributes { height_m, min_height_m, elevated, .. } = *attributes;
-    let underside_is_unknown = elevated && f64::from(min_height_m) <= flight_height_m;
-    let bottom = if underside_is_unknown { (height_m - SLAB_M).max(0.0) } else { min_height_m };
-    [bottom, height_m]
 }
 
 #[cfg(test)]

@@ -177,10 +177,10 @@ pub fn build_scenes(
     }
 
     let epsg = Some(tiles.epsg);
-    let Extract { buildings, utm, .. } =
+    let Extract { city, utm, .. } =
         read_buildings(&osm, &config.buildings, epsg, &Area::Whole, progress)?;
     progress.begin("extruding buildings", None);
-    let Solids { solids, left_out } = extrude(&buildings, config.buildings.flight_height_m);
+    let Solids { solids, left_out } = extrude(&city);
     progress.end();
     // The grid of the square alone: a cell's height depends on its place only.
     let square = GridConfig { side_m: map_size_m, crop_m: map_size_m, ..config.grid.clone() };
@@ -196,7 +196,7 @@ pub fn build_scenes(
         ),
         config,
         solids: &solids,
-        heights: TileSource::new(&buildings, &square, utm),
+        heights: TileSource::new(&city, &square, utm),
         sites,
     };
 
