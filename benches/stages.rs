@@ -10,7 +10,7 @@ use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use holescout::building::Building;
+use holescout::building::City;
 use holescout::config::Config;
 use holescout::dataset::downsample_heights;
 use holescout::grid::{Area, BoxIndex, TileId};
@@ -44,8 +44,8 @@ fn row(what: &str, time: Duration, per: usize, note: &str) {
 }
 
 /// Prisms of all buildings, then the meshes of the densest tiles.
-fn scenes(buildings: &[Building], tiles: &BTreeSet<TileId>, config: &Config) {
-    let made = || extrude(buildings, config.buildings.flight_height_m);
+fn scenes(city: &City, tiles: &BTreeSet<TileId>, config: &Config) {
+    let made = || extrude(city);
     let time = median(|| drop(made()));
     let Solids { solids, .. } = made();
     let rate = solids.len() as f64 / time.as_secs_f64();
@@ -82,11 +82,11 @@ fn main() {
     println!(
         "{}: {} buildings; median of {REPETITIONS}",
         files[0].display(),
-        extract.buildings.len()
+        extract.city.buildings().len()
     );
     row("read extract (all threads)", median(|| drop(read())), 1, "");
 
-    let source = TileSource::new(&extract.buildings, &config.grid, extract.utm);
+    let source = TileSource::new(&extract.city, &config.grid, extract.utm);
     let mut tiles: Vec<(TileId, HeightGrid)> =
         source.candidates().into_iter().map(|id| (id, source.rasterise(id))).collect();
     tiles.sort_by(|(_, a), (_, b)| b.statistics.built.total_cmp(&a.statistics.built));
@@ -95,7 +95,7 @@ fn main() {
     let rasterise = median(|| tiles.iter().for_each(|(id, _)| drop(source.rasterise(*id))));
     row("rasterise one tile (1 thread)", rasterise, count, "the densest tiles");
 
-    scenes(&extract.buildings, &source.candidates(), &config);
+    scenes(&extract.city, &source.candidates(), &config);
 
     let members: Vec<Vec<u8>> = tiles.iter().map(|(_, tile)| npy_bytes(&tile.height_m)).collect();
     let raw: usize = members.iter().map(Vec::len).sum();

@@ -6,8 +6,8 @@ mod height;
 mod prism;
 mod tags;
 
-pub use defect::{Action, Defect, Problem};
 pub use city::{City, Named};
+pub use defect::{Action, Defect, Problem};
 pub use height::{HeightSource, parse_length, parse_levels};
 pub use prism::{Limits, Prism};
 pub use tags::{Attributes, BUILDING, BUILDING_PART, Classified, Kind, classify, told_height};

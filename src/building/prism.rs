@@ -65,9 +65,9 @@ pub(super) fn prisms_of(city: &City, building: usize) -> Vec<Prism> {
     base.retain(|&outline| !city.buildings()[outline as usize].attributes.raised);
     if known {
         // A guess below does not count here, so it cannot carry either.
-        base.extend(city.overlapping(building, |other| {
-            !is_known(other) && !other.attributes.raised
-        }));
+        base.extend(
+            city.overlapping(building, |other| !is_known(other) && !other.attributes.raised),
+        );
     }
     base.sort_unstable();
     base.dedup();
@@ -80,8 +80,7 @@ pub(super) fn prisms_of(city: &City, building: usize) -> Vec<Prism> {
         kind == Kind::Part && !raised && (source.is_known() || !known)
     });
     let and = |others: &[u32]| [&hidden, others].concat();
-    let mut prisms =
-        vec![prism(building, attributes, 0.0, false, vec![base.clone()], and(&below))];
+    let mut prisms = vec![prism(building, attributes, 0.0, false, vec![base.clone()], and(&below))];
     if !below.is_empty() {
         let within = vec![base.clone(), below];
         prisms.push(prism(building, attributes, bottom_m, true, within, hidden.clone()));

@@ -1,7 +1,7 @@
 //! From OSM tags to a building's attributes.
 
-use super::height::{HeightSource, parse_length, parse_levels};
 use super::Defect;
+use super::height::{HeightSource, parse_length, parse_levels};
 use crate::config::BuildingsConfig;
 
 /// The key of a whole building.
@@ -206,7 +206,12 @@ mod tests {
                 &[Defect::HeightImplausible],
             ),
             (&[("building", "yes"), ("height", "tall")], 6.0, Default, &[Defect::HeightUnparsable]),
-            (&[("building", "yes"), ("height", "1,200 m")], 6.0, Default, &[Defect::HeightUnparsable]),
+            (
+                &[("building", "yes"), ("height", "1,200 m")],
+                6.0,
+                Default,
+                &[Defect::HeightUnparsable],
+            ),
             (&[("building:part", "yes"), ("min_height", "20")], 23.0, Default, &[]),
             (&[("building:part", "yes"), ("building:min_level", "1")], 6.0, Default, &[]),
             (

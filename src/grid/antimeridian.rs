@@ -19,7 +19,8 @@ pub(super) fn cut(polygon: Polygon<f64>) -> MultiPolygon<f64> {
         ..=((bounds.max().x + 180.0) / 360.0).floor() as i32;
     let piece = |turn: i32| {
         let shift = f64::from(turn) * 360.0;
-        let strip = Rect::new(coord! { x: shift - 180.0, y: -90.0 }, coord! { x: shift + 180.0, y: 90.0 });
+        let strip =
+            Rect::new(coord! { x: shift - 180.0, y: -90.0 }, coord! { x: shift + 180.0, y: 90.0 });
         let within = polygon.intersection(&strip.to_polygon());
         within.map_coords(|at| coord! { x: (at.x - shift).clamp(-180.0, 180.0), y: at.y })
     };

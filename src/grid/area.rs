@@ -23,7 +23,8 @@ pub enum AreaError {
     /// The bounding box is empty or not on the globe.
     #[error(
         "bounding box {0:?} is no area: expected west,south,east,north in degrees, longitudes \
-         within ±180 (west > east reaches across the antimeridian), south < north within ±90"
+         within ±180 (west > east reaches across the antimeridian, over 180° at most), south < north \
+         within ±90"
     )]
     Bbox([f64; 4]),
     /// The file could not be read.
@@ -56,7 +57,7 @@ impl HasFault for AreaError {
 
 impl Area {
     /// From west, south, east, north in degrees. A box whose west is larger than its east reaches
-    /// across the antimeridian (RFC 7946, section 5.2).
+    /// across the antimeridian (RFC 7946, section 5.2); over half the globe it is taken for a slip.
     ///
     /// # Errors
     /// [`AreaError::Bbox`] for an empty box or one that is not on the globe.
@@ -64,7 +65,8 @@ impl Area {
         let [west, south, east, north] = bbox;
         let on_globe = [west, east].iter().all(|lon| lon.abs() <= 180.0)
             && [south, north].iter().all(|lat| lat.abs() <= 90.0);
-        if !on_globe || west == east || south >= north {
+        let across = west > east && west - east >= 180.0;
+        if !(on_globe && (west < east || across) && south < north) {
             return Err(AreaError::Bbox(bbox));
         }
         let rect = |west: f64, east: f64| {
@@ -170,6 +172,7 @@ mod tests {
         let area = Area::from_bbox([24.0, 60.0, 25.0, 61.0]).expect("a box");
         assert!(area.contains(24.5, 60.5) && !area.contains(23.9, 60.5));
         assert_eq!(area.middle(), Some([24.5, 60.5]));
+        assert!(matches!(Area::from_bbox([1.0, 0.0, 0.0, 1.0]), Err(AreaError::Bbox(_))));
         assert!(matches!(Area::from_bbox([1.0, 0.0, 1.0, 1.0]), Err(AreaError::Bbox(_))));
         assert!(matches!(Area::from_bbox([0.0, 1.0, 1.0, 0.0]), Err(AreaError::Bbox(_))));
         assert!(matches!(Area::from_bbox([170.0, 0.0, 181.0, 1.0]), Err(AreaError::Bbox(_))));

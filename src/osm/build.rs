@@ -138,7 +138,8 @@ fn build_relation(
     let Some(attributes) = relation.attributes else { return built };
     let mut defects = Vec::new();
     let is_tagged = |(member, _): &(MemberId, _)| tagged.contains(&object(*member));
-    let made = if relation.kind == RelationKind::Building && relation.members.iter().any(is_tagged) {
+    let made = if relation.kind == RelationKind::Building && relation.members.iter().any(is_tagged)
+    {
         Err(Defect::CoveredByOutline)
     } else {
         relation_footprint(relation, members, projector, &mut defects)
@@ -222,9 +223,9 @@ fn inherit_from_groups(buildings: &mut [Building], groups: &[Group]) {
         let Some(height) = group.told else { continue };
         told.extend(group.outlines.iter().map(|&outline| (outline, height)));
         let has_outline = |at: &ObjectId| {
-            buildings.iter().any(|building| {
-                building.object == *at && building.attributes.kind == Kind::Outline
-            })
+            buildings
+                .iter()
+                .any(|building| building.object == *at && building.attributes.kind == Kind::Outline)
         };
         if !group.outlines.iter().any(has_outline) {
             told.extend(group.parts.iter().map(|&part| (part, height)));

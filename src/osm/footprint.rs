@@ -487,8 +487,22 @@ mod tests {
             line
         };
         // They meet in (46, 50) and (46, 20) only; what lies east of that line is in both.
-        let west = ring(&[(46.0, 50.0), (16.0, 45.0), (16.0, 25.0), (46.0, 20.0), (61.0, 30.0), (61.0, 40.0)]);
-        let east = ring(&[(46.0, 50.0), (46.0, 70.0), (96.0, 70.0), (96.0, 0.0), (46.0, 0.0), (46.0, 20.0)]);
+        let west = ring(&[
+            (46.0, 50.0),
+            (16.0, 45.0),
+            (16.0, 25.0),
+            (46.0, 20.0),
+            (61.0, 30.0),
+            (61.0, 40.0),
+        ]);
+        let east = ring(&[
+            (46.0, 50.0),
+            (46.0, 70.0),
+            (96.0, 70.0),
+            (96.0, 0.0),
+            (46.0, 0.0),
+            (46.0, 20.0),
+        ]);
         let (area, _, defects) = nested(&[(west, Role::Outer), (east, Role::Outer)]);
         assert!(defects.is_empty(), "{defects:?}");
         assert!((area - (750.0 + 3500.0 - 300.0)).abs() < 1e-3, "{area}");

@@ -112,25 +112,26 @@ pub fn read_buildings(
     for file in &open {
         for feature in file.unknown_features() {
             let path = file.path().display();
-            progress.note(&format!("{path}: the optional feature {feature:?} is not known, and not used"));
+            progress.note(&format!(
+                "{path}: the optional feature {feature:?} is not known, and not used"
+            ));
         }
     }
-    let (extracts, Finds { ways, relations, mut problems, .. }) = read_tags(open, config, progress)?;
+    let (extracts, Finds { ways, relations, mut problems, .. }) =
+        read_tags(open, config, progress)?;
 
     let relations_within = read_relations(&extracts, &relations, progress)?;
     let members = read_members(&extracts, &relations, &relations_within, config, progress)?;
     let nodes = read_nodes(&extracts, &ways, &members, progress)?;
     drop(extracts);
-    let members = Members {
-        ways: whole_members(members, &nodes),
-        relations: relations_within,
-    };
+    let members = Members { ways: whole_members(members, &nodes), relations: relations_within };
     let ways = whole_ways(ways, &nodes, &mut problems);
     let relations = whole_relations(relations, &members.ways, &mut problems);
     let tagged = count_tagged(&ways, &relations, &mut problems);
 
     let of_most = zone::of_most(&ways, &relations, &members, &nodes);
-    let no_buildings = || ReadError::NoBuildings { files: files.to_owned(), found: tagged as usize };
+    let no_buildings =
+        || ReadError::NoBuildings { files: files.to_owned(), found: tagged as usize };
     let utm = match (epsg, area.middle(), of_most) {
         (Some(epsg), ..) => Utm::from_epsg(epsg)?,
         (None, Some([lon, lat]), _) => Utm::of_place(lon, lat)?,
@@ -142,9 +143,7 @@ pub fn read_buildings(
     if buildings.is_empty() {
         let is_far = problems.iter().any(|problem| problem.defect == Defect::NotProjectable);
         return Err(match of_most {
-            Some((_, [lon, lat])) if is_far => {
-                ReadError::Elsewhere { epsg: utm.epsg(), lon, lat }
-            }
+            Some((_, [lon, lat])) if is_far => ReadError::Elsewhere { epsg: utm.epsg(), lon, lat },
             _ => no_buildings(),
         });
     }
@@ -184,9 +183,9 @@ fn read_tags(
             all.problems.extend(find.problems);
         }
         let of_file = (&all.ways[ways_before..], &all.relations[relations_before..]);
-        let repeated = order.repeated.or_else(|| {
-            order.is_mixed.then(|| another_version(of_file.0, of_file.1)).flatten()
-        });
+        let repeated = order
+            .repeated
+            .or_else(|| order.is_mixed.then(|| another_version(of_file.0, of_file.1)).flatten());
         if let Some(object) = repeated {
             return Err(file.several_versions(object));
         }
@@ -203,7 +202,8 @@ fn another_version(ways: &[RawWay], relations: &[RawRelation]) -> Option<ObjectI
         relations.iter().map(|relation| (ObjectId::Relation(relation.id), relation.version));
     let mut versions = HashMap::new();
     let mut objects = ways.chain(relations);
-    let other = objects.find(|(object, version)| *versions.entry(*object).or_insert(*version) != *version);
+    let other =
+        objects.find(|(object, version)| *versions.entry(*object).or_insert(*version) != *version);
     other.map(|(object, _)| object)
 }
 
@@ -287,9 +287,8 @@ fn read_members(
     for Extracted { file, way_blobs, .. } in extracts {
         let finds = file.map(way_blobs, progress, |block| {
             let ways = block.primitivegroup.iter().flat_map(|group| &group.ways);
-            let wanted = ways.filter(|way| {
-                wanted.contains(&way.id()) && block::is_visible(way.info.as_ref())
-            });
+            let wanted = ways
+                .filter(|way| wanted.contains(&way.id()) && block::is_visible(way.info.as_ref()));
             let member = |way| {
                 let tag = |key: &str| block::way_tag(block, way, key);
                 let told = told_height(&tag, 0.0, config, &mut vec![]);

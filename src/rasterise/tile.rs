@@ -191,8 +191,10 @@ impl<'a> Painter<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::building::{HeightSource, ObjectId};
+    use crate::building::{Attributes, HeightSource};
+    use crate::config::BuildingsConfig;
     use geo::{MultiPolygon, Rect, coord};
+    use proptest::prelude::*;
 
     const GRID: GridConfig =
         GridConfig { side_m: 40, spacing_m: 20, cell_m: 1.0, crop_m: 20, epsg: None };
@@ -209,9 +211,25 @@ mod tests {
         Building { object: ObjectId::Way(id), footprint, attributes }
     }
 
-    fn with(kind: Kind, height_m: f32, elevated: bool) -> Attributes {
+    fn with(kind: Kind, height_m: f32, raised: bool) -> Attributes {
         let source = HeightSource::Height;
-        Attributes { kind, height_m, source, min_height_m: 0.0, elevated }
+        let min_height_m = if raised { 3.0 } else { 0.0 };
+        Attributes { kind, height_m, source, min_height_m, raised }
+    }
+
+    fn guess(kind: Kind, height_m: f32) -> Attributes {
+        Attributes { source: HeightSource::Default, ..with(kind, height_m, false) }
+    }
+
+    fn grid_at(tile: TileId, buildings: &[&Building]) -> HeightGrid {
+        let buildings: Vec<Building> = buildings.iter().copied().cloned().collect();
+        let all: Vec<usize> = (0..buildings.len()).collect();
+        let city = City::new(buildings, &[], &BuildingsConfig::default());
+        rasterise_tile(tile, &GRID, &city, &all)
+    }
+
+    fn grid(buildings: &[&Building]) -> HeightGrid {
+        grid_at(tile(), buildings)
     }
 
     /// The height at a place relative to the centre.
@@ -223,36 +241,127 @@ mod tests {
     fn overlaps_take_the_highest_in_any_order() {
         let low = square(1, 0.0, 0.0, 10.0, with(Kind::Outline, 5.0, false));
         let high = square(2, 4.0, 0.0, 10.0, with(Kind::Outline, 9.0, false));
-        let grid = rasterise_tile(tile(), &GRID, &[&low, &high]);
-        assert_eq!((at(&grid, 0.5, 0.5), at(&grid, -4.5, 0.5)), (9.0, 5.0));
-        assert_eq!(grid, rasterise_tile(tile(), &GRID, &[&high, &low]));
-        assert_eq!((grid.statistics.buildings, grid.statistics.max_height_m), (2, 9.0));
-        assert!((grid.statistics.built - 140.0 / 400.0).abs() < 1e-12);
+        let made = grid(&[&low, &high]);
+        assert_eq!((at(&made, 0.5, 0.5), at(&made, -4.5, 0.5)), (9.0, 5.0));
+        assert_eq!(made, grid(&[&high, &low]));
+        assert_eq!((made.statistics.buildings, made.statistics.max_height_m), (2, 9.0));
+        assert!((made.statistics.built - 140.0 / 400.0).abs() < 1e-12);
     }
 
     #[test]
-    fn parts_replace_the_outline_and_elevated_parts_only_raise() {
-        let outline = square(1, 0.0, 0.0, 10.0, with(Kind::Outline, 20.0, false));
-        let podium = square(2, 0.0, 0.0, 6.0, with(Kind::Part, 5.0, false));
+    fn a_guess_counts_only_where_nothing_is_known() {
+        let known = square(1, 0.0, 0.0, 10.0, with(Kind::Outline, 5.0, false));
+        let guessed = square(2, 4.0, 0.0, 10.0, guess(Kind::Outline, 9.0));
+        let made = grid(&[&known, &guessed]);
+        assert_eq!((at(&made, 0.5, 0.5), at(&made, 7.5, 0.5)), (5.0, 9.0));
+    }
+
+    #[test]
+    fn parts_replace_the_outline_and_raised_ones_count_within_it_only() {
+        let outline = square(1, 0.0, 0.0, 12.0, with(Kind::Outline, 50.0, false));
+        let podium = square(2, 0.0, 0.0, 8.0, with(Kind::Part, 5.0, false));
         let tower = square(3, 0.0, 0.0, 2.0, with(Kind::Part, 50.0, true));
-        let skyway = square(4, 15.0, 0.0, 4.0, with(Kind::Part, 9.0, true));
-        let grid = rasterise_tile(tile(), &GRID, &[&tower, &podium, &skyway, &outline]);
-        assert_eq!(at(&grid, 0.5, 0.5), 50.0);
-        assert_eq!(at(&grid, 2.5, 0.5), 5.0);
-        assert_eq!(at(&grid, 4.5, 0.5), 20.0);
-        assert_eq!(at(&grid, 15.5, 0.5), 0.0);
-        assert_eq!(grid.statistics.buildings, 1, "parts are not counted");
+        let arcade = square(4, 5.0, 5.0, 2.0, with(Kind::Part, 8.0, true));
+        let skyway = square(5, 15.0, 0.0, 4.0, with(Kind::Part, 9.0, true));
+        let beyond = square(6, 6.0, -4.0, 4.0, with(Kind::Part, 7.0, true));
+        let made = grid(&[&tower, &podium, &skyway, &outline, &arcade, &beyond]);
+        assert_eq!(at(&made, 0.5, 0.5), 50.0, "the tower");
+        assert_eq!(at(&made, 2.5, 0.5), 5.0, "the podium");
+        assert_eq!(at(&made, -5.5, 0.5), 50.0, "the outline where no part lies");
+        assert_eq!(
+            at(&made, 4.5, 4.5),
+            8.0,
+            "an arcade stands on the ground, lower than the outline"
+        );
+        assert_eq!(at(&made, 15.5, 0.5), 0.0, "a skyway outside");
+        assert_eq!((at(&made, 5.5, -3.5), at(&made, 7.5, -3.5)), (7.0, 0.0), "within and beyond");
+        assert_eq!(made.statistics.buildings, 1, "parts are not counted");
+    }
+
+    #[test]
+    fn what_is_raised_raises_what_stands_below() {
+        let house = square(1, 0.0, 0.0, 10.0, with(Kind::Outline, 6.0, false));
+        let canopy = square(2, 6.0, 0.0, 8.0, with(Kind::Outline, 9.0, true));
+        let made = grid(&[&house, &canopy]);
+        assert_eq!(
+            (at(&made, 4.5, 0.5), at(&made, 8.5, 0.5), at(&made, 0.5, 0.5)),
+            (9.0, 0.0, 6.0)
+        );
     }
 
     #[test]
     fn overlapping_tiles_agree() {
         let wall = square(1, 7.3, 3.9, 11.7, with(Kind::Outline, 7.0, false));
-        let here = rasterise_tile(tile(), &GRID, &[&wall]);
+        let part = square(2, 7.3, 3.9, 5.1, with(Kind::Part, 4.0, false));
+        let here = grid(&[&wall, &part]);
         let east: TileId = "utm10n_e500020_n4000000".parse().expect("an id");
-        let there = rasterise_tile(east, &GRID, &[&wall]);
+        let there = grid_at(east, &[&wall, &part]);
         assert_eq!(
             here.height_m.slice(ndarray::s![.., 20..]),
             there.height_m.slice(ndarray::s![.., ..20])
         );
+    }
+
+    proptest! {
+        /// The rule of `building::prism` as it is written there, cell by cell, against the prisms.
+        #[test]
+        fn columns_follow_the_rule(
+            squares in prop::collection::vec(
+                (-16_i8..16, -16_i8..16, 3_u8..16, any::<bool>(), 0_u8..3, 1_u8..30, any::<bool>()),
+                1..9,
+            ),
+        ) {
+            let buildings: Vec<Building> = squares.into_iter().enumerate().map(|(id, it)| {
+                let (x, y, side, is_part, bottom, height, known) = it;
+                let kind = if is_part { Kind::Part } else { Kind::Outline };
+                let raised = bottom == 2;
+                let mut attributes = with(kind, f32::from(height) + if raised { 3.0 } else { 0.0 }, raised);
+                if !known {
+                    attributes.source = HeightSource::Default;
+                }
+                square(id as i64, f64::from(x), f64::from(y), f64::from(side), attributes)
+            }).collect();
+            let city = City::new(buildings, &[], &BuildingsConfig::default());
+            let all: Vec<usize> = (0..city.buildings().len()).collect();
+            let made = rasterise_tile(tile(), &GRID, &city, &all);
+            for row in 0..40 {
+                for column in 0..40 {
+                    let place = [
+                        500_000.0 - 20.0 + f64::from(column) + 0.5,
+                        4_000_000.0 + 20.0 - f64::from(row) - 0.5,
+                    ];
+                    let cell = [row as usize, column as usize];
+                    prop_assert_eq!(
+                        (made.height_m[cell], made.height_source[cell]),
+                        column_by_rule(&city, place),
+                        "{:?}", cell
+                    );
+                }
+            }
+        }
+    }
+
+    /// Height and source over a place, by the rule.
+    fn column_by_rule(city: &City, [x, y]: [f64; 2]) -> (f32, u8) {
+        let covers = |&at: &usize| {
+            let bounds = city.boxes()[at];
+            // A centre on an edge belongs to the building north or east of it.
+            bounds.min().x <= x && x < bounds.max().x && bounds.min().y <= y && y < bounds.max().y
+        };
+        let here: Vec<usize> = (0..city.buildings().len()).filter(covers).collect();
+        let of = |at: usize| &city.buildings()[at].attributes;
+        let is_replaced = |&at: &usize| {
+            here.iter().any(|&part| {
+                city.outlines_of(part).contains(&(at as u32))
+                    && (of(part).source.is_known() || !of(at).source.is_known())
+            })
+        };
+        let stands = here.iter().any(|&at| !of(at).raised);
+        let counts = here.iter().filter(|at| stands && !is_replaced(at));
+        let best = counts.max_by(|&&a, &&b| {
+            let key = |at: usize| (of(at).source.is_known(), of(at).height_m);
+            key(a).partial_cmp(&key(b)).expect("finite heights")
+        });
+        best.map_or((0.0, 0), |&at| (of(at).height_m, of(at).source as u8))
     }
 }

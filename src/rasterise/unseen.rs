@@ -21,7 +21,8 @@ pub(super) fn without_cells(city: &City, grid: &GridConfig) -> Vec<Problem> {
         .buildings()
         .par_iter()
         .map(|building| {
-            is_thick(&building.footprint, cell_m) || covers_center(&building.footprint, cell_m, grid)
+            is_thick(&building.footprint, cell_m)
+                || covers_center(&building.footprint, cell_m, grid)
         })
         .collect();
     let of = |wanted: bool| {

@@ -159,8 +159,8 @@ impl<'a> Square<'a> {
 mod tests {
     use super::super::solid::{Solids, extrude};
     use super::*;
-    use crate::building::{Attributes, Building, HeightSource, Kind, ObjectId};
-    use crate::config::GridConfig;
+    use crate::building::{Attributes, Building, City, HeightSource, Kind, ObjectId};
+    use crate::config::{BuildingsConfig, GridConfig};
     use crate::rasterise::rasterise_tile;
     use geo::{MultiPolygon, Rect, coord};
 
@@ -182,7 +182,7 @@ mod tests {
             height_m: top,
             source: HeightSource::Height,
             min_height_m: bottom,
-            elevated: bottom > 2.0,
+            raised: bottom > 2.0,
         };
         Building { object: ObjectId::Way(1), footprint, attributes }
     }
@@ -197,9 +197,10 @@ mod tests {
         tile: TileId,
         act: impl FnOnce(&Square<'_>) -> T,
     ) -> T {
-        let all: Vec<&Building> = buildings.iter().collect();
-        let grid = rasterise_tile(tile, &GRID, &all);
-        let Solids { solids, .. } = extrude(buildings, 2.0);
+        let city = City::new(buildings.to_vec(), &[], &BuildingsConfig::default());
+        let all: Vec<usize> = (0..buildings.len()).collect();
+        let grid = rasterise_tile(tile, &GRID, &city, &all);
+        let Solids { solids, .. } = extrude(&city);
         let solids: Vec<&Solid> = solids.iter().collect();
         act(&Square::new(tile, &grid, GRID.cell_m, &solids))
     }

@@ -160,7 +160,8 @@ pub fn extrude(city: &City) -> Solids {
 mod tests {
     use super::super::mesh::Mesh;
     use super::*;
-    use crate::building::{HeightSource, ObjectId};
+    use crate::building::{Attributes, Building, HeightSource, Kind, ObjectId};
+    use crate::config::BuildingsConfig;
     use crate::grid::TileId;
     use geo::{Coord, Line, LineString, LinesIter, Polygon};
     use proptest::prelude::*;
@@ -195,7 +196,7 @@ mod tests {
 
     /// Area of what a solid stands on, by the volume of its mesh, which must be closed.
     fn area(footprint: &MultiPolygon<f64>, without: &[&MultiPolygon<f64>]) -> f64 {
-        let solid = Solid::new(footprint, without, [1.0, 4.0]).expect("a solid");
+        let solid = Solid::new(footprint, &[], without, [1.0, 4.0]).expect("a solid");
         let mesh = mesh(&solid);
         assert!(mesh.is_closed(), "{footprint:?}");
         assert_eq!(mesh.triangles.len(), solid.triangles());
@@ -209,7 +210,7 @@ mod tests {
     #[test]
     fn a_box_has_twelve_triangles_and_exact_corners() {
         let footprint = footprint(&[&[square(0.25, -7.5, 10.0)]]);
-        let solid = Solid::new(&footprint, &[], [0.0, 2.5]).expect("a solid");
+        let solid = Solid::new(&footprint, &[], &[], [0.0, 2.5]).expect("a solid");
         let mesh = mesh(&solid);
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 12));
         assert_eq!(mesh.volume_m3(), 250.0);
@@ -255,14 +256,14 @@ mod tests {
         footprint: MultiPolygon<f64>,
         kind: Kind,
         [bottom, top]: [f32; 2],
-        elevated: bool,
+        raised: bool,
     ) -> Building {
         let attributes = Attributes {
             kind,
             height_m: top,
             source: HeightSource::Height,
             min_height_m: bottom,
-            elevated,
+            raised,
         };
         Building { object: ObjectId::Way(1), footprint, attributes }
     }
@@ -281,8 +282,11 @@ mod tests {
             building(at(40.0, 4.0), Outline, [2.0, 2.0], false),
             building(at(50.0, 4.0), Outline, [0.0, 9.0], false),
             building(at(50.0, 5.0), Part, [0.0, 9.0], false),
+            building(at(70.0, 10.0), Outline, [0.0, 20.0], false),
+            building(at(75.0, 10.0), Part, [8.0, 12.0], true),
         ];
-        let Solids { solids, left_out } = extrude(&buildings, 2.0);
+        let city = City::new(buildings.to_vec(), &[], &BuildingsConfig::default());
+        let Solids { solids, left_out } = extrude(&city);
         let found: Vec<_> = solids
             .iter()
             .map(|solid| (solid.heights_m(), mesh(solid).volume_m3().round()))
@@ -292,9 +296,13 @@ mod tests {
             ([0.0, 5.0], 80.0),
             ([1.0, 30.0], 16.0 * 29.0),
             ([40.0, 50.0], 40.0),
-            ([6.0 - SLAB_M, 6.0], 5.0),
+            ([5.7, 6.0], 5.0),
             ([0.0, 0.2], 3.0),
             ([0.0, 9.0], 225.0),
+            ([0.0, 20.0], 50.0 * 20.0),
+            // On the ground within the outline, floating beyond.
+            ([0.0, 12.0], 50.0 * 12.0),
+            ([8.0, 12.0], 50.0 * 4.0),
         ];
         assert_eq!(found, wanted);
         let counts = LeftOutSolids { no_height: 1, covered_by_parts: 1, ..Default::default() };
@@ -379,7 +387,7 @@ mod tests {
             // Corners are moved by half a step of 0.12 mm, crossings by a few.
             let length: f64 = lines.iter().map(|line| line.dx().hypot(line.dy())).sum();
             let tolerance = 3e-4 * length + 1e-6;
-            let solid = match Solid::new(&footprint, &others, [1.0, 4.0]) {
+            let solid = match Solid::new(&footprint, &[], &others, [1.0, 4.0]) {
                 Ok(solid) => solid,
                 Err(reason) => {
                     let empty = matches!(reason, NoSolid::NoArea | NoSolid::CoveredByParts);
