@@ -66,6 +66,14 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
     let items = match found.as_deref() {
         Some(TilesManifest::SCHEMA) => {
             let (manifest, _) = load::<TilesManifest>(root, "rasterise", TilesManifest::SCHEMA)?;
+            let (tagged, accounted) = (manifest.buildings.tagged, manifest.accounted());
+            if tagged != accounted {
+                let reason = format!(
+                    "{tagged} objects with building tags, but {accounted} buildings and rows of \
+                     problems.csv that say why not"
+                );
+                failures.push(failure(MANIFEST, reason));
+            }
             check_items(&manifest.tiles, progress, &mut failures, |entry| {
                 let read = TileFile::read(root, entry).map_err(|error| error.to_string());
                 let matches = read.map(|tile| tile.meta.id == entry.id);

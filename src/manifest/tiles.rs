@@ -155,6 +155,16 @@ pub struct TilesManifest {
 impl TilesManifest {
     /// The value of `schema`.
     pub const SCHEMA: &'static str = "tiles.v2";
+
+    /// Objects with building tags that are buildings or have a row that says why not: as many as
+    /// [`BuildingCounts::tagged`].
+    #[must_use]
+    pub fn accounted(&self) -> u64 {
+        let rows = |action: Action| self.problems.get(&action).into_iter().flatten();
+        let out = rows(Action::Skipped).chain(rows(Action::LeftOut)).map(|(_, count)| count);
+        let BuildingCounts { outlines, parts, raised, .. } = self.buildings;
+        outlines + parts + raised + out.sum::<u64>()
+    }
 }
 
 /// `meta_json` inside of a tile's `.npz`.

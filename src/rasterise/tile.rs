@@ -41,7 +41,10 @@ pub fn rasterise_tile(
     let heights = height_m.as_slice_mut().expect("a new array is contiguous");
     let sources = height_source.as_slice_mut().expect("a new array is contiguous");
 
-    let mut prisms: Vec<&Prism> = buildings.iter().flat_map(|&at| city.prisms_of(at)).collect();
+    // What floats and begins where it ends is nothing.
+    let is_there = |prism: &&Prism| !prism.floats || prism.bottom_m < prism.top_m;
+    let prisms = buildings.iter().flat_map(|&at| city.prisms_of(at));
+    let mut prisms: Vec<&Prism> = prisms.filter(is_there).collect();
     prisms.sort_unstable_by(|a, b| {
         a.floats
             .cmp(&b.floats)

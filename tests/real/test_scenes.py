@@ -1,7 +1,6 @@
 """Scenes of whole cities: every mesh is closed, and holds the volume of its buildings.
 
-The volumes are computed from the extracts alone: osmium reads and assembles, PROJ projects, shapely takes
-areas. Nothing of Holescout is used for them but the list of objects that it repaired. Run by
+The volumes are computed from the extracts alone: heights_reference.py reads them, shapely takes areas. Run by
 `make test-real`; every test fails where the data or the program are missing.
 """
 
@@ -16,17 +15,17 @@ import numpy as np
 import pytest
 import shapely
 
-from gdal_equality import FLIGHT_HEIGHT_M, Buildings, Footprint, Problems, Tile, read_buildings, read_problems, read_tiles
+from gdal_equality import Tile, read_tiles
+from heights_reference import FLIGHT_HEIGHT_M, Kind, Member, Reference, Region, Top
 
 # Whole extracts with every tile that holds anything, but for the largest.
 EXTRACTS = [("sanjose_buildings", 50), ("monaco", None), ("manhattan", None), ("london", None)]
-CONFIG = "[buildings]\ndefault_heights_m = {}\n[filter]\nmin_buildings = 0\nmin_built = 0.0\n"
 
 SLAB_M = 0.3
 # What rounding leaves of an outline that parts cover counts as a solid here and not there, or there and not here.
 SLIVER_M2 = 0.01
 MAX_ERROR = 1e-3
-# Tiles that a repaired object lies in are not compared by volume; few are.
+# Tiles that an object in doubt lies in are not compared by volume; few are.
 MIN_COMPARED = 0.8
 
 
@@ -79,61 +78,95 @@ def volume_of(vertices: np.ndarray, faces: np.ndarray) -> float:
 # ---------------------------------------------------------------- buildings
 
 
-def projected(osm: Path, key: str, epsg: int) -> Buildings:
-    """Return the buildings or parts of an extract, without ways that a relation stands for."""
-    buildings = Buildings()
-    buildings.add(read_buildings(osm, key))
-    buildings.project(epsg)
-    return buildings
-
-
 @dataclass
-class Prism:
-    """What stands on the ground or floats above it."""
+class Item:
+    """A region of a footprint with its top."""
 
+    member: Member
     area: shapely.Geometry
-    depth: float
+    top: Top
+
+    @property
+    def is_part(self) -> bool:
+        return self.member.footprint.kind is Kind.PART
+
+    @property
+    def is_raised(self) -> bool:
+        return self.member.footprint.is_raised
+
+    @property
+    def underside(self) -> float:
+        """Where it begins; a raised one that does not tell is a slab."""
+        bottom = self.member.footprint.bottom
+        return max(0.0, self.top.metres - SLAB_M) if self.is_raised and bottom <= FLIGHT_HEIGHT_M else bottom
 
 
-def area_of(footprint: Footprint) -> shapely.Geometry:
-    """Return a footprint as shapely sees it: even-odd in each polygon, polygons united."""
-    def even_odd(rings: list[np.ndarray]) -> shapely.Geometry:
-        parts = [shapely.make_valid(shapely.Polygon(ring), method="linework") for ring in rings]
-        area = parts[0]
-        for part in parts[1:]:
-            area = area.symmetric_difference(part)
-        return area
+def area_of(region: Region) -> shapely.Geometry:
+    """Return a region as shapely sees it: even-odd over its rings, within its limits."""
+    def polygon(ring: np.ndarray) -> shapely.Geometry:
+        return shapely.make_valid(shapely.Polygon(ring), method="linework")
 
-    areas = [even_odd(rings) for rings in footprint.polygons]
-    return areas[0] if len(areas) == 1 else shapely.union_all(areas)
-
-
-def depth_of(footprint: Footprint) -> float:
-    """Return the height between underside and top; a roof without underside is a slab."""
-    if footprint.elevated and footprint.base <= FLIGHT_HEIGHT_M:
-        return min(SLAB_M, footprint.height)
-    return footprint.height - footprint.base
+    area = polygon(region.rings[0])
+    for ring in region.rings[1:]:
+        area = area.symmetric_difference(polygon(ring))
+    if region.within is not None:
+        area = area.intersection(polygon(region.within))
+    for ring in (*region.cut, *region.without):
+        area = area.difference(polygon(ring))
+    return area
 
 
-def prisms(outlines: Buildings, parts: Buildings) -> list[Prism]:
-    """Return what all buildings become: parts on the ground stand for what they cover of outlines."""
-    replacing = [area_of(part) for part in parts.footprints.values() if not part.elevated]
-    tree = shapely.STRtree(replacing)
-    found = [Prism(area_of(part), depth_of(part)) for part in parts.footprints.values()]
-    for outline in outlines.footprints.values():
-        area = area_of(outline)
-        near = [] if outline.elevated else tree.query(area, predicate="intersects")
-        if len(near):
-            area = area.difference(shapely.union_all([replacing[index] for index in near]))
-        found.append(Prism(area, depth_of(outline)))
-    return [prism for prism in found if prism.depth > 0 and prism.area.area > 0]
+def united(items: list[Item]) -> shapely.Geometry:
+    return shapely.union_all([item.area for item in items]) if items else shapely.Polygon()
 
 
-def uncertain_boxes(problems: Problems, *kinds: Buildings) -> np.ndarray:
-    """Return the bounding boxes [n, 4] of objects that were repaired and may look different here."""
-    boxes = [np.concatenate([nodes.min(axis=0), nodes.max(axis=0)])
-             for buildings in kinds for ident, nodes in buildings.extents.items()
-             if len(nodes) and ident in problems.uncomparable(buildings) | (buildings.unusable - problems.skipped)]
+def prisms(reference: Reference) -> list[tuple[shapely.Geometry, float]]:
+    """Return area and depth of what all buildings become.
+
+    Within its outline what is raised stands on the ground, but for what stands below it already; a known top takes what
+    it covers from guesses, and parts that are at least as well known from their outline.
+    """
+    own_parts: dict[str, list[Member]] = {}
+    outlines: dict[str, list[str]] = {}
+    members: dict[str, Member] = {}
+    for building in reference.city.buildings:
+        members |= {member.footprint.ident: member for member in building.members}
+        if building.outline:
+            name = building.outline.footprint.ident
+            own_parts[name] = building.parts
+            for part in building.parts:
+                outlines.setdefault(part.footprint.ident, []).append(name)
+    items = [Item(member, area_of(region), top) for member in members.values() for region, top in member.regions]
+    tree = shapely.STRtree([item.area for item in items])
+    found = []
+    for item in items:
+        near = [items[index] for index in tree.query(item.area, predicate="intersects")]
+        near = [other for other in near if other.member is not item.member]
+        known = item.top.is_known
+        name = item.member.footprint.ident
+        parts = {part.footprint.ident for part in own_parts.get(name, [])}
+        hidden = [other for other in near if (not known and other.top.is_known)
+                  or (other.member.footprint.ident in parts and (other.top.is_known or not known))]
+        area = item.area.difference(united(hidden))
+        stands = shapely.Polygon()
+        if item.is_raised:
+            base = [other for other in near if not other.is_raised
+                    and (other.member.footprint.ident in outlines.get(name, []) or (known and not other.top.is_known))]
+            below = [other for other in near if other.is_part and not other.is_raised and (other.top.is_known or not known)]
+            if base:
+                stands = area.intersection(united(base)).difference(united(below))
+            area = area.difference(stands)
+        found.append((stands, item.top.metres))
+        found.append((area, item.top.metres - item.underside))
+    return [(area, depth) for area, depth in found if depth > 0 and area.area > 0]
+
+
+def uncertain_boxes(reference: Reference) -> np.ndarray:
+    """Return the bounding boxes [n, 4] of objects that the rules do not settle."""
+    boxes = [area_of(piece.region).bounds for name, reasons in reference.city.doubts.items() if reasons
+             for piece in reference.buildings.footprints[name].pieces]
+    boxes += [np.concatenate([points.min(axis=0), points.max(axis=0)])
+              for _, points in reference.buildings.unclear.values() if len(points)]
     return np.array(boxes).reshape(-1, 4)
 
 
@@ -151,19 +184,18 @@ def test_meshes_are_closed_and_hold_the_buildings(tmp_path: Path, extract: str, 
     data = Path(os.environ.get("HOLESCOUT_DATA", ""))
     osm = data / "osm" / f"{extract}.osm.pbf"
     assert osm.is_file(), f"{osm} is missing; use `make test-real`"
-    config, tiles_dir, scenes = tmp_path / "all.toml", tmp_path / "tiles", tmp_path / "scenes"
-    config.write_text(CONFIG)
-    holescout("rasterise", "--config", config, "--osm", osm, "--out", tiles_dir)
+    tiles_dir, scenes = tmp_path / "tiles", tmp_path / "scenes"
+    holescout("rasterise", "--osm", osm, "--out", tiles_dir, "--min-buildings", "0", "--min-built", "0")
     summary = holescout("scenes", "--osm", osm, "--tiles", tiles_dir, "--out", scenes)
     epsg, tiles = read_tiles(tiles_dir)
     assert summary["scenes"] == len(tiles) and summary["left_out"]["not_closed"] == 0
 
-    outlines, parts = projected(osm, "building", epsg), projected(osm, "building:part", epsg)
-    uncertain = uncertain_boxes(read_problems(tiles_dir / "problems.csv"), outlines, parts)
-    solids = prisms(outlines, parts)
-    boxes = np.array([prism.area.bounds for prism in solids])
-    areas = np.array([prism.area.area for prism in solids])
-    volumes = areas * np.array([prism.depth for prism in solids])
+    reference = Reference(osm, epsg)
+    uncertain = uncertain_boxes(reference)
+    solids = prisms(reference)
+    boxes = np.array([area.bounds for area, _ in solids])
+    areas = np.array([area.area for area, _ in solids])
+    volumes = areas * np.array([depth for _, depth in solids])
 
     tiles = tiles if sample is None else random.Random(1).sample(tiles, sample)
     compared, wrong = 0, []
