@@ -17,7 +17,7 @@ import json
 import random
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -93,8 +93,8 @@ def is_building(tags: Mapping[str, str], key: str = "building") -> bool:
     return value is not None and value not in NOT_BUILT and tags.get("location") != "underground" and not is_part_too
 
 
-def height_of(tags: Mapping[str, str]) -> float:
-    """Return the height of a building's top: from `height`, else its levels, else the default."""
+def known_height(tags: Mapping[str, str]) -> float | None:
+    """Return the height of a building's top: from `height`, else its levels; None if the tags tell neither."""
     height = length_m(tags.get("height"))
     if valid_height(height):
         return height
@@ -105,7 +105,7 @@ def height_of(tags: Mapping[str, str]) -> float:
             roof = LEVEL_M * (number(tags.get("roof:levels")) or 0.0)
         if valid_height(total := LEVEL_M * levels + roof):
             return total
-    return DEFAULT_HEIGHT_M
+    return None
 
 
 def base_of(tags: Mapping[str, str]) -> float:
@@ -126,11 +126,10 @@ def is_elevated(tags: Mapping[str, str], key: str = "building") -> bool:
 
 @dataclass
 class Footprint:
-    """A building's polygons (each an outer ring and its holes), its underside and its height."""
+    """A building's polygons (each an outer ring and its holes), its underside, and the height of each; None: unknown."""
 
     ident: str
-    base: float
-    height: float
+    heights: list[float | None]
     elevated: bool
     polygons: list[list[np.ndarray]]
 
@@ -139,11 +138,10 @@ class Footprint:
         """All rings of all polygons."""
         return [ring for polygon in self.polygons for ring in polygon]
 
-    @property
-    def geometry(self) -> dict[str, object]:
-        """The GeoJSON geometry."""
-        return {"type": "MultiPolygon",
-                "coordinates": [[ring.tolist() for ring in polygon] for polygon in self.polygons]}
+    def shapes(self, known: bool) -> list[tuple[dict[str, object], float]]:
+        """The polygons of known height, or the others with the default, as GeoJSON geometries with their heights."""
+        return [({"type": "Polygon", "coordinates": [ring.tolist() for ring in polygon]}, DEFAULT_HEIGHT_M if height is None else height)
+                for polygon, height in zip(self.polygons, self.heights, strict=True) if (height is not None) is known]
 
 
 @dataclass
@@ -191,9 +189,23 @@ def known_nodes(nodes: Iterable[osmium.osm.NodeRef]) -> np.ndarray:
 
 def footprint_of(
     ident: str, tags: Mapping[str, str], key: str, polygons: list[list[np.ndarray]],
+    ways: Sequence[tuple[np.ndarray, float | None]] = (),
 ) -> Footprint:
-    """Return polygons with what the tags say."""
-    return Footprint(ident, base_of(tags), height_of(tags), is_elevated(tags, key), polygons)
+    """Return polygons with what the tags say; a relation that tells no height has that of the ways around each ring."""
+    def inherited(outer: np.ndarray) -> float | None:
+        corners = {tuple(corner) for corner in outer}
+        told = [height for nodes, height in ways if height is not None and corners.issuperset(map(tuple, nodes))]
+        return max(told, default=None)
+
+    own, base, elevated = known_height(tags), base_of(tags), is_elevated(tags, key)
+    if own is not None and own < base:
+        own = None
+    if own is None and len({height for _, height in ways}) > 1 and all((nodes[0] == nodes[-1]).all() for nodes, _ in ways):
+        # osmium makes one polygon of rings that share an edge; here each keeps the height of its own way.
+        polygons = [[nodes.copy()] for nodes, _ in ways]
+    heights = [own if own is not None else inherited(polygon[0]) for polygon in polygons]
+    # What floats and begins where it ends raises nothing.
+    return Footprint(ident, [0.0 if elevated and own == base else height for height in heights], elevated, polygons)
 
 
 def area_polygons(area: osmium.osm.Area) -> list[list[np.ndarray]]:
@@ -211,6 +223,7 @@ def read_buildings(path: Path, key: str = "building") -> Buildings:
 
     found = Buildings()
     member_nodes: dict[int, np.ndarray] = {}
+    member_heights: dict[int, float | None] = {}
     processor = (osmium.FileProcessor(path)
                  .with_areas(osmium.filter.KeyFilter(key))
                  .with_filter(osmium.filter.EntityFilter(WAY | AREA)))
@@ -221,6 +234,7 @@ def read_buildings(path: Path, key: str = "building") -> Buildings:
             nodes = known_nodes(item.nodes)
             if item.id in members:
                 member_nodes[item.id] = nodes
+                member_heights[item.id] = known_height(item.tags)
             if is_building(item.tags, key):
                 ident = f"w{item.id}"
                 if not item.is_closed() or len(nodes) < len(item.nodes):
@@ -230,7 +244,9 @@ def read_buildings(path: Path, key: str = "building") -> Buildings:
                     found.footprints[ident] = footprint_of(ident, item.tags, key, [[nodes]])
         elif not item.from_way() and item.orig_id() in relations and (polygons := area_polygons(item)):
             ident = f"r{item.orig_id()}"
-            found.footprints[ident] = footprint_of(ident, item.tags, key, polygons)
+            ways = [(member_nodes[ref], member_heights[ref]) for ref, role in relations[item.orig_id()]
+                    if ref in member_nodes and role != "inner"]
+            found.footprints[ident] = footprint_of(ident, item.tags, key, polygons, ways)
 
     for relation_id, refs in relations.items():
         ident = f"r{relation_id}"
@@ -354,22 +370,28 @@ def touches(boxes: np.ndarray, box: Iterable[float], margin: float = 0.0) -> np.
             & (boxes[:, 1] <= north + margin) & (boxes[:, 3] >= south - margin))
 
 
-def burn(footprints: list[Footprint], tile: Tile) -> np.ndarray:
-    """Rasterise footprints with GDAL, the highest last so that it wins."""
-    if not footprints:
+def burn(footprints: list[Footprint], tile: Tile, known: bool, elevated: bool) -> np.ndarray:
+    """Rasterise footprints of one kind with GDAL, the highest last so that it wins."""
+    shapes = [shape for footprint in footprints if footprint.elevated is elevated for shape in footprint.shapes(known)]
+    if not shapes:
         return np.zeros((tile.cells, tile.cells), dtype=np.float32)
-    ordered = sorted(footprints, key=lambda footprint: footprint.height)
-    return rasterize([(footprint.geometry, float(np.float32(footprint.height))) for footprint in ordered],
+    ordered = sorted(shapes, key=lambda shape: shape[1])
+    return rasterize([(geometry, float(np.float32(height))) for geometry, height in ordered],
                      out_shape=(tile.cells, tile.cells),
                      transform=from_origin(tile.west, tile.north, tile.cell, tile.cell),
                      fill=0, all_touched=False, merge_alg=MergeAlg.replace, dtype="float32")
 
 
 def gdal_heights(footprints: list[Footprint], tile: Tile) -> np.ndarray:
-    """Return the height grid as it should be: elevated buildings only raise grounded ones."""
-    grounded = burn([footprint for footprint in footprints if not footprint.elevated], tile)
-    elevated = burn([footprint for footprint in footprints if footprint.elevated], tile)
-    return np.where(grounded > 0, np.maximum(grounded, elevated), grounded)
+    """Return the height grid as it should be: the highest known top, else the highest guess, where something stands.
+
+    Elevated buildings only raise grounded ones.
+    """
+    known, guessed = (burn(footprints, tile, known, False) for known in (True, False))
+    known_above, guessed_above = (burn(footprints, tile, known, True) for known in (True, False))
+    highest_known = np.maximum(known, known_above)
+    heights = np.where(highest_known > 0, highest_known, np.maximum(guessed, guessed_above))
+    return np.where((known > 0) | (guessed > 0), heights, 0)
 
 
 def excluded_cells(boxes: np.ndarray, tile: Tile) -> np.ndarray:

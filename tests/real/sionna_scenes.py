@@ -54,6 +54,8 @@ def surfaces(loaded: Any, side: int, flight_height_m: float) -> np.ndarray:
 
     centres = np.arange(side) + 0.5 - side / 2
     east, north = np.meshgrid(centres, centres[::-1])
+    if "buildings" not in loaded.objects:
+        return np.zeros((side, side))
     buildings = mitsuba.load_dict({"type": "scene", "buildings": loaded.objects["buildings"].mi_mesh})
 
     def below(height_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +119,7 @@ def check_city(city: str, folder: Path) -> bool:
     tiles, scenes = folder / "tiles", folder / "scenes"
     holescout("rasterise", "--osm", extract, "--out", tiles, *options)
     start = time.perf_counter()
-    holescout("scenes", "--osm", extract, "--tiles", tiles, "--out", scenes, "--placement", "roof")
+    holescout("scenes", "--osm", extract, "--tiles", tiles, "--out", scenes, "--placement", "any")
     made = time.perf_counter() - start
     seconds, cells, on_edges, different, triangles, failed = [], 0, 0, 0, 0, 0
     for path in sorted(scenes.glob("*/scene.json")):
