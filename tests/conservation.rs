@@ -1,6 +1,8 @@
 //! Nothing vanishes without a row: every object with building tags is an outline, a part, raised, or
 //! listed with what was done about it, whatever is in the extract.
 
+#![allow(clippy::panic, reason = "helpers of tests fail by panicking")]
+
 mod common;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -47,8 +49,11 @@ const NODES: i64 = COLUMNS * COLUMNS;
 struct Odd {
     nodes: Vec<usize>,
     ways: Vec<(usize, Vec<i64>, bool)>,
-    relations: Vec<(usize, usize, Vec<(bool, i64, usize)>)>,
+    relations: Vec<(usize, usize, Vec<Member>)>,
 }
+
+/// Whether it is a way, its id, and its role.
+type Member = (bool, i64, usize);
 
 fn odd() -> impl Strategy<Value = Odd> {
     let nodes = prop::collection::vec(0..TAGS.len(), NODES as usize);

@@ -12,9 +12,11 @@ use crate::config::BuildingsConfig;
 use crate::grid::BoxIndex;
 
 /// Side of the blocks that buildings are sorted into, in metres: wider than most.
-const BLOCK_M: f64 = 256.0;
+const BLOCK_M: f64 = 512.0;
 /// Footprints that share less are neighbours, in m²: two readings of one wall.
 const MIN_OVERLAP_M2: f64 = 1e-3;
+/// Buildings whose prisms are made at a time.
+const CHUNK: usize = 1024;
 /// A part belongs to every outline that holds so much of it ...
 const MEMBER_SHARE: f64 = 0.5;
 /// ... and to the one that holds most of it, if that is so much. What laps less over an outline is
@@ -56,7 +58,7 @@ impl City {
     /// If a footprint has no ring at all.
     #[must_use]
     pub fn new(mut buildings: Vec<Building>, named: &[Named], config: &BuildingsConfig) -> Self {
-        let boxes = buildings.iter().map(|building| bounds(building)).collect();
+        let boxes = buildings.iter().map(bounds).collect();
         let index = BoxIndex::new(boxes, BLOCK_M);
         let outlines = outlines_of_parts(&buildings, &index, named);
         for (&part, outlines) in &outlines {
@@ -68,7 +70,9 @@ impl City {
                 parts.entry(outline).or_default().push(part);
             }
         }
-        parts.values_mut().for_each(|parts| parts.sort_unstable());
+        for parts in parts.values_mut() {
+            parts.sort_unstable();
+        }
         let mut city = Self {
             buildings,
             index,
@@ -78,11 +82,22 @@ impl City {
             first_prism: vec![0],
             flight_height_m: config.flight_height_m,
         };
-        let prisms: Vec<Vec<Prism>> =
-            (0..city.buildings.len()).into_par_iter().map(|at| prisms_of(&city, at)).collect();
-        for of_one in prisms {
-            city.prisms.extend(of_one);
-            city.first_prism.push(city.prisms.len() as u32);
+        let all: Vec<usize> = (0..city.buildings.len()).collect();
+        let prisms: Vec<(Vec<Prism>, Vec<u32>)> = all
+            .par_chunks(CHUNK)
+            .map(|chunk| {
+                let (mut prisms, mut ends) = (Vec::with_capacity(chunk.len()), Vec::new());
+                for &at in chunk {
+                    prisms_of(&city, at, &mut prisms);
+                    ends.push(prisms.len() as u32);
+                }
+                (prisms, ends)
+            })
+            .collect();
+        for (of_chunk, ends) in prisms {
+            let before = city.prisms.len() as u32;
+            city.prisms.extend(of_chunk);
+            city.first_prism.extend(ends.into_iter().map(|end| before + end));
         }
         city
     }

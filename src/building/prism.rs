@@ -44,13 +44,12 @@ pub struct Limits {
     pub without: Vec<u32>,
 }
 
-/// The prisms of a building.
-pub(super) fn prisms_of(city: &City, building: usize) -> Vec<Prism> {
+/// Appends the prisms of a building.
+pub(super) fn prisms_of(city: &City, building: usize, prisms: &mut Vec<Prism>) {
     let attributes = &city.buildings()[building].attributes;
     let known = attributes.source.is_known();
     // What is known hides what is guessed.
-    let mut hidden =
-        if known { vec![] } else { city.overlapping(building, |other| is_known(other)) };
+    let mut hidden = if known { vec![] } else { city.overlapping(building, is_known) };
     // Its parts say how high an outline is; a part that is a guess says nothing that it knows better.
     let parts = city.parts_of(building).iter().copied();
     hidden.extend(parts.filter(|&part| !known || is_known(&city.buildings()[part as usize])));
@@ -58,7 +57,8 @@ pub(super) fn prisms_of(city: &City, building: usize) -> Vec<Prism> {
     hidden.dedup();
     if !attributes.raised {
         let bottom_m = attributes.min_height_m;
-        return vec![prism(building, attributes, bottom_m, false, vec![], hidden)];
+        prisms.push(prism(building, attributes, bottom_m, false, vec![], hidden));
+        return;
     }
 
     let mut base: Vec<u32> = city.outlines_of(building).to_vec();
@@ -73,20 +73,20 @@ pub(super) fn prisms_of(city: &City, building: usize) -> Vec<Prism> {
     base.dedup();
     let bottom_m = underside(attributes, city.flight_height_m());
     if base.is_empty() {
-        return vec![prism(building, attributes, bottom_m, true, vec![], hidden)];
+        prisms.push(prism(building, attributes, bottom_m, true, vec![], hidden));
+        return;
     }
     let below = city.overlapping(building, |other| {
         let Attributes { kind, raised, source, .. } = other.attributes;
         kind == Kind::Part && !raised && (source.is_known() || !known)
     });
     let and = |others: &[u32]| [&hidden, others].concat();
-    let mut prisms = vec![prism(building, attributes, 0.0, false, vec![base.clone()], and(&below))];
+    prisms.push(prism(building, attributes, 0.0, false, vec![base.clone()], and(&below)));
     if !below.is_empty() {
         let within = vec![base.clone(), below];
         prisms.push(prism(building, attributes, bottom_m, true, within, hidden.clone()));
     }
     prisms.push(prism(building, attributes, bottom_m, true, vec![], and(&base)));
-    prisms
 }
 
 fn is_known(building: &Building) -> bool {

@@ -54,10 +54,9 @@ pub fn classify<'a>(tag: impl Fn(&str) -> Option<&'a str>, config: &BuildingsCon
     let is_there = |value: &&str| !NOT_THERE.contains(value);
     let (kind, value) = match (tag(BUILDING), tag(BUILDING_PART)) {
         (None, None) => return Classified::Unrelated,
-        (Some(value), None) => (Kind::Outline, value),
         // No building of its own, but a part of one.
         (Some(value), Some(part)) if !is_there(&value) && is_there(&part) => (Kind::Part, part),
-        (Some(value), Some(_)) => (Kind::Outline, value),
+        (Some(value), _) => (Kind::Outline, value),
         (None, Some(value)) => (Kind::Part, value),
     };
     if !is_there(&value) || tag("location") == Some("underground") {

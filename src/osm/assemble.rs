@@ -93,9 +93,7 @@ pub(super) fn relation_footprint(
     if nested.pieces.is_empty() {
         return Err(Defect::NoOuterRing);
     }
-    footprint::check_width(&MultiPolygon::from_iter(
-        nested.pieces.iter().map(|piece| piece.polygon.clone()),
-    ))?;
+    footprint::check_width(nested.pieces.iter().map(|piece| &piece.polygon))?;
     Ok(nested)
 }
 

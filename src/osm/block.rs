@@ -87,7 +87,7 @@ pub(super) fn way_refs(way: &Way) -> Vec<i64> {
 
 /// Places of a way's nodes in 10⁻⁷ degrees, where the file keeps them with the way
 /// (`LocationsOnWays`); `None` where it does not, or not for all.
-pub(super) fn way_places(block: &PrimitiveBlock, way: &Way) -> Option<Vec<[i32; 2]>> {
+pub(super) fn way_places(block: &PrimitiveBlock, way: &Way) -> Option<Box<[[i32; 2]]>> {
     let field = |wanted: u32| {
         let mut fields = way.unknown_fields().iter();
         fields.find_map(|(number, value)| match value {

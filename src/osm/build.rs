@@ -164,12 +164,12 @@ fn by_height(object: ObjectId, attributes: Attributes, pieces: Vec<Piece>) -> Ve
         if let Some(told) = told {
             take(&mut attributes, told);
         }
-        match buildings.iter_mut().find(|building| building.attributes == attributes) {
-            Some(building) => building.footprint.0.push(polygon),
-            None => {
-                let footprint = MultiPolygon(vec![polygon]);
-                buildings.push(Building { object, footprint, attributes });
-            }
+        let same = buildings.iter_mut().find(|building| building.attributes == attributes);
+        if let Some(building) = same {
+            building.footprint.0.push(polygon);
+        } else {
+            let footprint = MultiPolygon(vec![polygon]);
+            buildings.push(Building { object, footprint, attributes });
         }
     }
     // The best known one first: it stands for the object where that is counted.
@@ -218,21 +218,19 @@ fn group(relation: &RawRelation, tagged: &HashSet<ObjectId>) -> Group {
 
 /// What neither an outline nor the parts of a group without one tell, their relation may.
 fn inherit_from_groups(buildings: &mut [Building], groups: &[Group]) {
+    if groups.iter().all(|group| group.told.is_none()) {
+        return;
+    }
+    let is_outline = |building: &&Building| building.attributes.kind == Kind::Outline;
+    let outlines: HashSet<ObjectId> =
+        buildings.iter().filter(is_outline).map(|building| building.object).collect();
     let mut told: HashMap<ObjectId, (f32, HeightSource)> = HashMap::new();
     for group in groups {
         let Some(height) = group.told else { continue };
         told.extend(group.outlines.iter().map(|&outline| (outline, height)));
-        let has_outline = |at: &ObjectId| {
-            buildings
-                .iter()
-                .any(|building| building.object == *at && building.attributes.kind == Kind::Outline)
-        };
-        if !group.outlines.iter().any(has_outline) {
+        if !group.outlines.iter().any(|outline| outlines.contains(outline)) {
             told.extend(group.parts.iter().map(|&part| (part, height)));
         }
-    }
-    if told.is_empty() {
-        return;
     }
     for building in buildings {
         if let Some(&height) = told.get(&building.object) {

@@ -14,7 +14,7 @@ pub(super) struct MemberWay {
     pub(super) version: i32,
     pub(super) refs: Vec<i64>,
     /// Where the nodes are, if the file keeps that with the way.
-    pub(super) places: Option<Vec<[i32; 2]>>,
+    pub(super) places: Option<Box<[[i32; 2]]>>,
     /// A height that its tags tell, in metres.
     pub(super) height_m: Option<(f32, HeightSource)>,
 }
@@ -78,6 +78,10 @@ fn best<T>(
     is_better: impl Fn(&T, &T) -> bool,
     problems: &mut Vec<Problem>,
 ) -> Vec<T> {
+    // As in any single extract that is sorted.
+    if found.is_sorted_by(|a, b| object(a) < object(b)) {
+        return found;
+    }
     let mut at: HashMap<ObjectId, usize> = HashMap::with_capacity(found.len());
     let mut whole: Vec<T> = Vec::with_capacity(found.len());
     let mut repeated = BTreeSet::new();

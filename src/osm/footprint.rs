@@ -60,10 +60,18 @@ pub(super) fn check_size(points: usize) -> Result<(), Defect> {
 }
 
 /// Whether a footprint is no wider than buildings are.
-pub(super) fn check_width(footprint: &MultiPolygon<f64>) -> Result<(), Defect> {
-    let fits = footprint
-        .bounding_rect()
-        .is_none_or(|bounds| bounds.width() <= MAX_WIDTH_M && bounds.height() <= MAX_WIDTH_M);
+pub(super) fn check_width<'a>(
+    polygons: impl IntoIterator<Item = &'a Polygon<f64>>,
+) -> Result<(), Defect> {
+    let points = polygons.into_iter().flat_map(|polygon| &polygon.exterior().0);
+    let bounds =
+        points.fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], {
+            |[west, south, east, north], point| {
+                [west.min(point.x), south.min(point.y), east.max(point.x), north.max(point.y)]
+            }
+        });
+    let [west, south, east, north] = bounds;
+    let fits = east - west <= MAX_WIDTH_M && north - south <= MAX_WIDTH_M;
     if fits { Ok(()) } else { Err(Defect::TooLarge) }
 }
 
@@ -112,9 +120,7 @@ fn distinct_is_below_three(points: &[Coord<f64>]) -> bool {
 /// even-odd, two rounds would enclose nothing.
 fn walked_once(points: &[Coord<f64>]) -> Option<Vec<Coord<f64>>> {
     let key = |point: &Coord<f64>| (point.x.to_bits(), point.y.to_bits());
-    let mut seen = HashMap::with_capacity(points.len());
-    let repeats = points[1..].iter().any(|point| seen.insert(key(point), ()).is_some());
-    if !repeats {
+    if !repeats(&points[1..]) {
         return None;
     }
     // Whenever the walk comes back to a point of its path, a loop is cut off.
@@ -124,9 +130,9 @@ fn walked_once(points: &[Coord<f64>]) -> Option<Vec<Coord<f64>>> {
     for &point in points {
         if let Some(&start) = at.get(&key(&point)) {
             let round: Vec<Coord<f64>> = path.drain(start..).collect();
-            round.iter().for_each(|point| {
+            for point in &round {
                 at.remove(&key(point));
-            });
+            }
             // A bit of wall walked back and forth encloses nothing.
             if round.len() > 2 {
                 let mut corners: Vec<_> = round.iter().map(key).collect();
@@ -151,6 +157,16 @@ fn walked_once(points: &[Coord<f64>]) -> Option<Vec<Coord<f64>>> {
     once.push(start);
     once.dedup();
     Some(once)
+}
+
+/// Whether some point is there twice. Most rings are short: looking at all pairs beats a table.
+fn repeats(points: &[Coord<f64>]) -> bool {
+    const SHORT: usize = 32;
+    if points.len() <= SHORT {
+        return points.iter().enumerate().any(|(at, point)| points[..at].contains(point));
+    }
+    let mut seen = HashSet::with_capacity(points.len());
+    points.iter().any(|point| !seen.insert((point.x.to_bits(), point.y.to_bits())))
 }
 
 /// Nests the rings of a relation to polygons. Where a ring lies decides what it is; roles

@@ -46,7 +46,7 @@ pub enum PbfError {
     /// Some other kind of file.
     #[error(
         "{}: not an OpenStreetMap PBF file ({reason}); \
-         convert other formats with `osmium cat {} -o extract.osm.pbf`", path.display(), path.display()
+         convert other formats with `osmium cat {} -o extract.osm.pbf`", path.display(), shell(path)
     )]
     NotPbf {
         /// The file.
@@ -98,9 +98,9 @@ pub enum PbfError {
     },
     /// The file holds an object in several versions.
     #[error(
-        "{0}: {object} is there in several versions, expected one; take the latest of each with \
-         `osmium sort {0} -o sorted.osm.pbf && osmium time-filter sorted.osm.pbf -o extract.osm.pbf`",
-         path.display()
+        "{}: {object} is there in several versions, expected one; take the latest of each with \
+         `osmium sort {} -o sorted.osm.pbf && osmium time-filter sorted.osm.pbf -o extract.osm.pbf`",
+        path.display(), shell(path)
     )]
     SeveralVersions {
         /// The file.
@@ -108,6 +108,13 @@ pub enum PbfError {
         /// One such object.
         object: ObjectId,
     },
+}
+
+/// A path as one word of a command line.
+fn shell(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+=@:,".contains(c);
+    if text.chars().all(is_plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }
 
 impl HasFault for PbfError {
@@ -261,7 +268,7 @@ impl PbfFile {
         let Some(feature) = required.find(|name| !REQUIRED.contains(&name.as_str())) else {
             return Ok(());
         };
-        let file = self.path.display();
+        let file = shell(&self.path);
         let mend = if feature == HISTORY {
             format!("take the latest state with `osmium time-filter {file} -o extract.osm.pbf`")
         } else {
@@ -287,7 +294,7 @@ impl PbfFile {
                 feature: "a compression other than zlib".to_owned(),
                 mend: format!(
                     "rewrite it with `osmium cat {} -f pbf,pbf_compression=zlib -o extract.osm.pbf`",
-                    self.path.display()
+                    shell(&self.path)
                 ),
             });
         }
@@ -320,5 +327,22 @@ impl PbfFile {
 
     fn corrupt(&self, blob: usize, offset: u64, reason: String) -> PbfError {
         PbfError::Corrupt { path: self.path.clone(), blob, offset, reason }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_that_are_advised_name_the_file_as_one_word() {
+        assert_eq!(shell(Path::new("maps/a-b_c.osm.pbf")), "maps/a-b_c.osm.pbf");
+        assert_eq!(shell(Path::new("my city's.osm.pbf")), r"'my city'\''s.osm.pbf'");
+        let path = PathBuf::from("two words.osm.pbf");
+        let said = PbfError::SeveralVersions { path, object: ObjectId::Way(7) }.to_string();
+        assert!(
+            said.contains("w7") && said.contains("osmium sort 'two words.osm.pbf' -o"),
+            "{said}"
+        );
     }
 }

@@ -14,7 +14,7 @@ pub(super) struct RawWay {
     pub(super) version: i32,
     pub(super) refs: Vec<i64>,
     /// Where the nodes are, if the file keeps that with the way.
-    pub(super) places: Option<Vec<[i32; 2]>>,
+    pub(super) places: Option<Box<[[i32; 2]]>>,
     pub(super) attributes: Attributes,
 }
 

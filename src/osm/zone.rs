@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
+
 use super::assemble::{Members, member_ways};
 use super::nodes::NodeTable;
 use super::scan::{RawRelation, RawWay};
@@ -15,16 +17,16 @@ pub(super) fn of_most(
     members: &Members,
     nodes: &NodeTable,
 ) -> Option<(Utm, [f64; 2])> {
-    let mut zones: BTreeMap<Utm, (u64, [f64; 2])> = BTreeMap::new();
     let first_place = |refs: &[i64]| nodes.places(refs).flatten().next();
-    let of_ways = ways.iter().filter_map(|way| first_place(&way.refs));
+    let of_ways: Vec<[f64; 2]> = ways.par_iter().filter_map(|way| first_place(&way.refs)).collect();
     let of_relations = relations.iter().filter(|relation| relation.attributes.is_some());
     let of_relations = of_relations.filter_map(|relation| {
         let ways = member_ways(&relation.members, members, &mut vec![]);
         let mut ways = ways.into_iter().filter_map(|(way, _)| members.ways.get(&way));
         ways.find_map(|way| first_place(&way.refs))
     });
-    for place in of_ways.chain(of_relations) {
+    let mut zones: BTreeMap<Utm, (u64, [f64; 2])> = BTreeMap::new();
+    for place in of_ways.into_iter().chain(of_relations) {
         if let Ok(utm) = Utm::of_place(place[0], place[1]) {
             zones.entry(utm).or_insert((0, place)).0 += 1;
         }

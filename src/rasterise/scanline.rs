@@ -15,13 +15,13 @@ impl Scanline {
     /// a polygon (even-odd over its exterior and interiors).
     ///
     /// A centre exactly on an edge belongs to the polygon north or east of it, so of two
-    /// polygons that share the edge exactly one gets the cell.
+    /// polygons that share the edge exactly one gets the cell. Returns whether there is any.
     pub fn fill(
         &mut self,
         polygon: &Polygon<f64>,
         window: &Window,
         mut paint: impl FnMut(usize, std::ops::Range<usize>),
-    ) {
+    ) -> bool {
         self.crossings.clear();
         for ring in std::iter::once(polygon.exterior()).chain(polygon.interiors()) {
             for pair in ring.0.windows(2) {
@@ -30,14 +30,17 @@ impl Scanline {
         }
         self.crossings
             .sort_unstable_by(|(r1, x1), (r2, x2)| r1.cmp(r2).then_with(|| x1.total_cmp(x2)));
+        let mut has_cells = false;
         // Closed rings cross every scanline an even number of times.
         for pair in self.crossings.chunks_exact(2) {
             let ((row, west), (_, east)) = (pair[0], pair[1]);
             let columns = window.first_column_from(west)..window.first_column_from(east);
             if !columns.is_empty() {
+                has_cells = true;
                 paint(row, columns);
             }
         }
+        has_cells
     }
 
     /// Notes where an edge crosses the scanlines of the rows it spans, lower end included.

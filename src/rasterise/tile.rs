@@ -1,5 +1,6 @@
 //! One tile: the prisms over each cell (`building::Prism`), the highest of them.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use ndarray::Array2;
@@ -53,30 +54,40 @@ pub fn rasterise_tile(
             .then_with(|| a.building.cmp(&b.building))
     });
     let mut painter = Painter::new(city, window);
-    let mut painted: Vec<ObjectId> = Vec::new();
+    let mut ways = 0;
+    // A relation may be several buildings, one for each height of its rings.
+    let mut relations: BTreeSet<ObjectId> = BTreeSet::new();
     for Prism { building, limits, top_m, source, floats, .. } in prisms {
         let Building { object, attributes, .. } = &city.buildings()[*building as usize];
-        let has_cells = painter.paint(*building, limits.as_deref(), |row, columns| {
-            let run = row * cells + columns.start..row * cells + columns.end;
-            if !floats {
+        let run = |row: usize, columns: Range<usize>| {
+            row * cells + columns.start..row * cells + columns.end
+        };
+        let has_cells = if *floats {
+            painter.paint(*building, limits.as_deref(), |row, columns| {
+                let run = run(row, columns);
+                let covered = heights[run.clone()].iter_mut().zip(&mut sources[run]);
+                for (height, known) in covered.filter(|(height, _)| **height > 0.0) {
+                    if top_m > height {
+                        (*height, *known) = (*top_m, *source as u8);
+                    }
+                }
+            })
+        } else {
+            painter.paint(*building, limits.as_deref(), |row, columns| {
+                let run = run(row, columns);
                 heights[run.clone()].fill(*top_m);
                 sources[run].fill(*source as u8);
-                return;
-            }
-            let covered = heights[run.clone()].iter_mut().zip(&mut sources[run]);
-            for (height, known) in covered.filter(|(height, _)| **height > 0.0) {
-                if top_m > height {
-                    (*height, *known) = (*top_m, *source as u8);
+            })
+        };
+        if has_cells && attributes.kind == Kind::Outline && !attributes.raised {
+            match object {
+                ObjectId::Way(_) => ways += 1,
+                object => {
+                    relations.insert(*object);
                 }
             }
-        });
-        if has_cells && attributes.kind == Kind::Outline && !attributes.raised {
-            painted.push(*object);
         }
     }
-    // A relation may be several buildings, one for each height of its rings.
-    painted.sort_unstable();
-    painted.dedup();
 
     let mut by_source = [0_u64; 4];
     for row in crop.clone() {
@@ -87,7 +98,7 @@ pub fn rasterise_tile(
     let [_, height, levels, default] = by_source;
     let built_cells = BuiltBySource { height, levels, default };
     let statistics = TileStatistics {
-        buildings: painted.len() as u32,
+        buildings: ways + relations.len() as u32,
         built: built_cells.total() as f64 / (crop.len() * crop.len()) as f64,
         max_height_m: heights.iter().copied().fold(0.0, f32::max),
         built_cells,
@@ -127,10 +138,7 @@ impl<'a> Painter<'a> {
         let mut has_cells = false;
         let Some(limits) = limits else {
             for polygon in footprint {
-                self.scanline.fill(polygon, &self.window, |row, columns| {
-                    has_cells = true;
-                    paint(row, columns);
-                });
+                has_cells |= self.scanline.fill(polygon, &self.window, &mut paint);
             }
             return has_cells;
         };
@@ -146,8 +154,7 @@ impl<'a> Painter<'a> {
         self.cover(&limits.without, Self::WITHOUT, &rows, &columns);
         let wanted = (1_u8 << limits.within.len()) - 1;
         for polygon in footprint {
-            self.scanline.fill(polygon, &self.window, |row, run| {
-                has_cells = true;
+            has_cells |= self.scanline.fill(polygon, &self.window, |row, run| {
                 let at = (row - rows.start) * columns.len();
                 let mask = &self.mask[at + run.start - columns.start..at + run.end - columns.start];
                 let mut column = run.start;

@@ -67,12 +67,8 @@ fn covers_center(footprint: &MultiPolygon<f64>, cell_m: f64, grid: &GridConfig) 
         cell: cell_m,
         cells,
     };
-    let mut covers = false;
     let mut scanline = Scanline::default();
-    for polygon in footprint {
-        scanline.fill(polygon, &window, |_, _| covers = true);
-    }
-    covers
+    footprint.iter().any(|polygon| scanline.fill(polygon, &window, |_, _| {}))
 }
 
 #[cfg(test)]
