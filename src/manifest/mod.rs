@@ -23,13 +23,13 @@ pub use dataset::{
 };
 pub use evaluation::EvaluationManifest;
 pub use files::{
-    RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,
+    ErrorGrids, RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,
 };
 pub use policy::PolicyManifest;
 pub use rsrp::{
-    BaseStation, Evidence, ImportInputs, MapEntry, MapFile, MapQuality, MapWarning, MaskCounts,
-    OrientationScore, Radio, RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap, ValueKind,
-    WarningCode,
+    BaseStation, Evidence, ImportInputs, MapEntry, MapFile, MapQuality, MapReliability, MapWarning,
+    MaskCounts, OrientationScore, Radio, RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap,
+    ValueKind, WarningCode,
 };
 pub use scenes::{
     LeftOutSolids, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation, ScenesConfig,
