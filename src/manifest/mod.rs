@@ -14,12 +14,13 @@ mod scenes;
 mod tiles;
 
 pub use built::{Built, already_built};
+pub(crate) use common::json_schema_with;
 pub use common::{
     Input, ManifestError, Software, fingerprint, json_schema, load, parse, schema, to_json,
 };
 pub use dataset::{
-    DatasetConfig, DatasetManifest, Dropped, IndexEntry, Release, RsrpHistogram, ShardEntry,
-    SplitStatistics,
+    DatasetConfig, DatasetManifest, Dropped, IndexEntry, Release, Reliability, RsrpHistogram,
+    ShardEntry, ShiftHistogram, SplitStatistics,
 };
 pub use evaluation::EvaluationManifest;
 pub use files::{
