@@ -72,6 +72,19 @@ def small_record(record):
     return msgpack.packb({**record, **arrays})
 
 
+def with_errors(record):
+    """A small record as record.v2 has it: levels and errors as integers."""
+    record = msgpack.unpackb(record)
+    level = np.load(io.BytesIO(record["rsrp_dbm"]))
+    there = np.load(io.BytesIO(record["mask"])) == 0
+    arrays = {
+        "rsrp_dbm": np.where(there, np.round(100 * level), -32768).astype(np.int16),
+        "std_error_db": np.where(there, 125, 0).astype(np.uint16),
+        "first_half_share": np.where(there, 130, 0).astype(np.uint8),
+    }
+    return msgpack.packb({**record, "schema": "record.v2", "repeats": 8, **{key: npy(value) for key, value in arrays.items()}})
+
+
 def seeds(dataset):
     with np.load(MAP) as archive:
         gain = archive["path_gain_db"]
@@ -90,6 +103,8 @@ def seeds(dataset):
     yield "npy/vector_v3", npy(linear[0], version=(3, 0))
     yield "npy/scalar", npy(np.float32(-100))
     yield "npy/empty", npy(np.zeros((0, 4), np.float32))
+    yield "npy/int16", npy(np.array([[-32768, -1], [0, 32767]], np.int16))
+    yield "npy/uint16_big_endian", npy(np.array([[0, 256], [257, 65535]], ">u2"))
     yield "npy/text_uint8", npy(np.frombuffer(b'{"a": 1}', np.uint8))
     yield "npy/text_bytes", npy(np.array(b'{"a": 1}'))
     yield "npy/text_unicode", npy(np.array('{"ä": 1}'))
@@ -110,6 +125,10 @@ def seeds(dataset):
     stacked = np.stack([linear, linear / 2], axis=-1)
     yield "map/two", npz(np.savez, path_gain=stacked, meta_json=np.array(json.dumps(two)))
 
+    repeated = metadata | {"value_kind": "path_gain_linear", "no_path_value": 0, "repeats": 8, "direction_shift": "random"}
+    yield "map/repeats", npz(np.savez, path_gain=linear, path_gain_std_error=linear / 4, path_gain_first_half=linear,
+                             meta_json=np.array(json.dumps(repeated)))
+
     yield "metadata/fixture.json", text
     changes = {
         "total_power": {"tx_power_is": "total", "n_subcarriers": 1200, "crs": 32635},
@@ -127,6 +146,7 @@ def seeds(dataset):
     records = [small_record(record) for record in records]
     for number, record in enumerate(records):
         yield f"record/{number}", record
+        yield f"record/{number}_with_errors", with_errors(record)
     yield "seekable/records", seekable(records[:2])
     yield "seekable/small", seekable([b"one record", b"", b"another record"])
     yield "seekable/long", seekable([bytes(1 << 16)])

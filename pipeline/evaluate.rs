@@ -1,10 +1,9 @@
 //! `holescout evaluate`.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use holescout::config::{Config, Split};
-use holescout::evaluate::{EvaluateJob, Interval, Report as Evaluation, evaluate};
+use holescout::evaluate::{EvaluateJob, evaluate};
 use holescout::progress::Progress;
 use holescout::rl::policy::MakePolicy;
 use serde_json::json;
@@ -12,6 +11,7 @@ use serde_json::json;
 use crate::cli::{EvaluateArgs, SplitChoice};
 use crate::console::{Console, Report};
 use crate::failure::Failure;
+use crate::scores;
 
 pub(crate) fn run(
     args: &EvaluateArgs,
@@ -48,7 +48,7 @@ pub(crate) fn run(
         "maps": maps,
         "scores": all_starts.collect::<Vec<_>>(),
     });
-    Report::new(text(&report), &summary)
+    Report::new(scores::text(&report), &summary)
 }
 
 /// A trained policy, and the SHA-256 of its weights.
@@ -72,30 +72,4 @@ fn load(policy: &Path, _: &EvaluateArgs, _: &Config) -> Result<Loaded, Failure> 
         "{policy}: this program was built without libtorch and knows no trained policies: \
          build it with `make train`, or with the feature torch"
     )))
-}
-
-/// Precision and recall with all starts, a line a method.
-fn text(report: &Evaluation) -> String {
-    let mut text = format!(
-        "{} maps, {} starts on each; precision / recall in % after at most k steps\n{:<28}",
-        report.maps.evaluated, report.evaluate.starts, "",
-    );
-    for k in &report.evaluate.steps {
-        write!(text, "{:>14}", format!("k = {k}")).expect("writing to a string cannot fail");
-    }
-    text.push('\n');
-    let percent = |value: Option<Interval>| {
-        value.map_or_else(|| "-".to_owned(), |value| format!("{:.1}", 100.0 * value.mean))
-    };
-    for method in &report.methods {
-        write!(text, "{:<28}", method.title).expect("writing to a string cannot fail");
-        for &k in &report.evaluate.steps {
-            let scores = report.score(method.name, k).map_or_else(String::new, |score| {
-                format!("{} / {}", percent(score.precision), percent(score.recall))
-            });
-            write!(text, "{scores:>14}").expect("writing to a string cannot fail");
-        }
-        text.push('\n');
-    }
-    text
 }

@@ -94,5 +94,23 @@ fn text(manifest: &RsrpManifest) -> String {
         manifest.maps.len(),
         rejected(manifest),
         manifest.inputs.ignored.len(),
+    ) + errors(manifest).as_str()
+}
+
+/// How sure holes are, where maps have several repeats.
+fn errors(manifest: &RsrpManifest) -> String {
+    let unsure: Vec<f64> = manifest
+        .maps
+        .iter()
+        .filter_map(|map| map.quality.reliability.map(|reliability| reliability.unsure))
+        .collect();
+    if unsure.is_empty() {
+        return String::new();
+    }
+    let mean = 100.0 * unsure.iter().sum::<f64>() / unsure.len() as f64;
+    format!(
+        "{} maps have errors; {mean:.1} % of their outdoor cells are unsure, holes with a chance of 5 \
+         to 95 %\n",
+        unsure.len()
     )
 }

@@ -3,9 +3,10 @@
 use holescout::config::Config;
 use holescout::dataset::{
     Dataset, Grids, PanelStyle, Record, hole_share, panels_png, record_json, records_csv,
-    statistics_of,
+    statistics_of, unsure_share,
 };
 use holescout::grid::TileId;
+use holescout::manifest::SplitStatistics;
 use holescout::store::write_atomic;
 use holescout::units::Dbm;
 
@@ -65,5 +66,15 @@ fn text(record: &Record, grids: &Grids) -> String {
         record.provenance.radio_map.file,
         record.provenance.radio_map.value_kind.name(),
         record.radio.sionna_version,
-    )
+    ) + reliability(&statistics).as_str()
+}
+
+/// How sure the holes are, where the map has several repeats.
+fn reliability(statistics: &SplitStatistics) -> String {
+    statistics.reliability.as_ref().map_or_else(String::new, |reliability| {
+        format!(
+            "{:.1} % of outdoor cells are holes with a chance of 5 to 95 %\n",
+            100.0 * unsure_share(reliability)
+        )
+    })
 }

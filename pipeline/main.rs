@@ -14,6 +14,7 @@ mod rasterise;
 mod release;
 mod scenes;
 mod schemas;
+mod scores;
 mod shard;
 mod task;
 #[cfg(feature = "torch")]

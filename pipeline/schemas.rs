@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use holescout::config::Config;
-use holescout::dataset::Record;
+use holescout::dataset::record_schemas;
 use holescout::error::FileError;
 use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
@@ -61,7 +61,8 @@ fn write(directory: &Path, schemas: &[(String, Vec<u8>)]) -> Result<(), FileErro
 }
 
 fn all() -> Vec<(String, Vec<u8>)> {
-    vec![
+    let records = record_schemas().map(|(name, text)| (format!("{name}.json"), text));
+    let mut schemas = vec![
         schema::<Config>("config.v1"),
         schema::<RadioMapMetadata>(RadioMapMetadata::SCHEMA),
         schema::<TileMeta>(TileMeta::SCHEMA),
@@ -70,12 +71,13 @@ fn all() -> Vec<(String, Vec<u8>)> {
         schema::<ScenesManifest>(ScenesManifest::SCHEMA),
         schema::<RsrpMeta>(RsrpMeta::SCHEMA),
         schema::<RsrpManifest>(RsrpManifest::SCHEMA),
-        schema::<Record>(Record::SCHEMA),
         schema::<DatasetManifest>(DatasetManifest::SCHEMA),
         schema::<EvaluationManifest>(EvaluationManifest::SCHEMA),
         schema::<EvaluationReport>(EvaluationReport::SCHEMA),
         schema::<PolicyManifest>(PolicyManifest::SCHEMA),
-    ]
+    ];
+    schemas.extend(records);
+    schemas
 }
 
 fn schema<T: JsonSchema>(name: &str) -> (String, Vec<u8>) {

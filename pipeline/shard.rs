@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use holescout::config::{Config, Split};
-use holescout::dataset::{ShardJob, build_dataset, hole_share};
+use holescout::dataset::{ShardJob, build_dataset, hole_share, unsure_share};
 use holescout::manifest::DatasetManifest;
 use holescout::progress::Progress;
 use serde_json::json;
@@ -65,6 +65,15 @@ pub(crate) fn text(manifest: &DatasetManifest) -> String {
             "{split}: {records} records, {holes:.1} % of outdoor cells are holes ({threshold} dBm)"
         )
         .expect("writing to a string cannot fail");
+        if let Some(reliability) = &statistics.reliability {
+            let (unsure, records) = (100.0 * unsure_share(reliability), reliability.records);
+            writeln!(
+                text,
+                "{split}: {unsure:.1} % of outdoor cells in {records} records with errors are unsure, \
+                 holes with a chance of 5 to 95 %"
+            )
+            .expect("writing to a string cannot fail");
+        }
     }
     let dropped = &manifest.dropped;
     writeln!(

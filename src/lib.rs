@@ -9,7 +9,7 @@
 //! Modules import only from those above them in this list:
 //!
 //! 1. [`units`], [`error`], [`progress`], [`config`]: words that everything else uses
-//! 2. [`crs`]: longitude/latitude to UTM and back
+//! 2. [`crs`], [`reliability`]: longitude/latitude to UTM and back; how sure a coverage hole is
 //! 3. [`grid`], [`building`]: tiles and windows; tags, heights, defects
 //! 4. [`store`]: files that are whole or absent, `.npy`, `.npz`, seekable Zstandard
 //! 5. [`manifest`]: what stages write about their outputs
@@ -36,6 +36,7 @@ pub mod random;
 pub mod rasterise;
 pub mod rebuild;
 pub mod release;
+pub mod reliability;
 pub mod rl;
 pub mod scene;
 pub mod store;

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 /// Modules of the library, lowest first; each imports only from lower lines.
 const LEVELS: [&[&str]; 12] = [
     &["units", "error", "progress", "random", "config"],
-    &["crs"],
+    &["crs", "reliability"],
     &["grid"],
     &["building"],
     &["store"],

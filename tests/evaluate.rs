@@ -11,14 +11,18 @@ use std::sync::LazyLock;
 
 use serde_json::Value;
 
+use pipeline::repeats::{REPEATED, REPEATS};
 use pipeline::{
     HELSINKI, assert_same_files, assert_says, copy_of, holescout, read, read_json, run, shared_dir,
     temporary_dir, tree, verify, write,
 };
 
-const FILES: [&str; 11] = [
+const FILES: [&str; 14] = [
     "NOTICE",
     "SHA256SUMS",
+    "distance.csv",
+    "distance.png",
+    "distance.svg",
     "manifest.json",
     "maps.csv",
     "precision.png",
@@ -69,7 +73,7 @@ fn means(report: &Value, measure: &str) -> Means {
 fn an_evaluation_is_whole_and_verifies() {
     let names: Vec<String> = tree(&EVALUATION).into_keys().collect();
     assert_eq!(names, FILES);
-    assert_says(&run(&mut verify(&EVALUATION)).succeeds(), &["sound", "10 files"]);
+    assert_says(&run(&mut verify(&EVALUATION)).succeeds(), &["sound", "13 files"]);
     let (_dir, copy, _) = copy_of(&EVALUATION);
     write(&copy.join("scores.csv"), "method\n");
     assert_says(&run(&mut verify(&copy)).refused(), &["scores.csv", "SHA-256"]);
@@ -220,4 +224,120 @@ fn what_cannot_be_evaluated_is_refused_with_the_mend() {
 
     let occupied = run(&mut evaluate(&EVALUATION, &["--seed", "9"])).refused();
     assert_says(&occupied, &["--overwrite"]);
+}
+
+// Holes by distance and density, how sure they are -------------------------------------------
+
+#[test]
+fn holes_are_counted_by_distance_and_density() {
+    let report = report(&EVALUATION);
+    let bins = report["distances"].as_array().expect("classes");
+    let sum = |key: &str| bins.iter().map(|bin| bin[key].as_u64().expect("a count")).sum::<u64>();
+    assert_eq!(Some(sum("cells")), report["maps"]["outdoor_cells"].as_u64());
+    assert_eq!(Some(sum("holes")), report["maps"]["hole_cells"].as_u64());
+    for bin in bins.iter().filter(|bin| bin["cells"] != 0) {
+        let share =
+            bin["holes"].as_f64().expect("a count") / bin["cells"].as_f64().expect("a count");
+        assert!((bin["hole_share"]["mean"].as_f64().expect("a mean") - share).abs() < 1e-12);
+    }
+    let table = String::from_utf8(read(&EVALUATION.join("distance.csv"))).expect("text");
+    assert_eq!(table.lines().count(), bins.len() + 1);
+    assert_says(&table, &["from_m,to_m,cells,holes,hole_share,hole_share_low,hole_share_high\n"]);
+
+    let groups = report["groups"].as_array().expect("groups");
+    for kind in ["hole_share", "built_share", "height", "region"] {
+        let of_kind = groups.iter().filter(|group| group["kind"] == kind);
+        let maps: u64 = of_kind.map(|group| group["maps"].as_u64().expect("a count")).sum();
+        assert_eq!(Some(maps), report["maps"]["evaluated"].as_u64(), "{kind}");
+    }
+}
+
+#[test]
+fn without_errors_the_reliability_is_unknown() {
+    let report = report(&EVALUATION);
+    assert_eq!(report["labels"], Value::Null);
+    assert!(report["scores"][0].get("expected_precision").is_none());
+    let header = String::from_utf8(read(&EVALUATION.join("scores.csv"))).expect("text");
+    assert!(!header.contains("expected"));
+    let dir = temporary_dir();
+    let said =
+        run(&mut evaluate(&dir.path().join("out"), &["--starts", "5", "--bootstrap", "100"]));
+    assert_says(&said.succeeds(), &["how sure the holes are is unknown"]);
+}
+
+/// The evaluation of maps with repeats, run once.
+static OF_REPEATS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let out = shared_dir("evaluation-of-repeats").join("out");
+    let mut command = holescout("evaluate");
+    command.arg("--dataset").arg(&REPEATED.dataset).arg("--out").arg(&out);
+    run(command.args(["--split", "all"]).args(SMALL)).succeeds();
+    out
+});
+
+#[test]
+fn flights_are_judged_by_the_chance_of_a_hole() {
+    let report = report(&OF_REPEATS);
+    let labels = &report["labels"];
+    assert_eq!(
+        (&labels["maps"], &labels["repeats"]),
+        (&report["maps"]["evaluated"], &Value::from([REPEATS; 2]))
+    );
+    assert_eq!(labels["outdoor_cells"], report["maps"]["outdoor_cells"]);
+    let [plain, expected, sure_holes, sure] =
+        ["precision", "expected_precision", "sure_holes", "sure"]
+            .map(|measure| means(&report, measure));
+    assert_eq!(plain.len(), expected.len());
+    for (key, expected) in &expected {
+        // A sure hole counts for 0.95 at least, a cell that is surely none for 0.05 at most.
+        assert!(*expected >= 0.95 * sure_holes[key] - 1e-9, "{key:?}");
+        assert!(*expected <= 1.0 - 0.95 * (sure[key] - sure_holes[key]) + 1e-9, "{key:?}");
+        assert!(sure_holes[key] <= sure[key] && sure_holes[key] <= plain[key] + 1e-9, "{key:?}");
+    }
+    // Random cells are as sure as cells are.
+    let share = |cells: &str| {
+        labels[cells].as_f64().expect("a count") / labels["outdoor_cells"].as_f64().expect("cells")
+    };
+    let random = ("rsp".to_owned(), 0, 30);
+    assert!((sure[&random] - (1.0 - share("unsure"))).abs() < 0.1);
+    assert!((sure_holes[&random] - share("sure_holes")).abs() < 0.1);
+    let mean = labels["expected_hole_share"]["mean"].as_f64().expect("a mean");
+    assert!((expected[&random] - mean).abs() < 0.1);
+}
+
+#[test]
+fn the_label_ceiling_rises_with_steps_and_stays_below_one_at_the_start() {
+    let report = report(&OF_REPEATS);
+    let ceiling = report["labels"]["ceiling"].as_array().expect("steps");
+    let steps: Vec<u64> = ceiling.iter().map(|at| at["k"].as_u64().expect("a number")).collect();
+    assert_eq!(steps, [0, 1, 2, 4, 8]);
+    let of = |measure: &str| -> Vec<f64> {
+        ceiling.iter().map(|at| at[measure]["mean"].as_f64().expect("a mean")).collect()
+    };
+    let (precision, expected) = (of("precision"), of("expected_precision"));
+    assert!(precision[1] > precision[0] && expected[1] > expected[0], "{precision:?}");
+    assert!(precision.iter().chain(&expected).all(|share| (0.0..=1.0).contains(share)));
+    let plain = means(&report, "precision");
+    assert!(precision[0] < 2.0 * plain[&("rsp".to_owned(), 0, 30)] + 0.1);
+}
+
+#[test]
+fn reports_of_errors_do_not_depend_on_threads_and_show_them() {
+    for threads in ["1", "8"] {
+        let dir = temporary_dir();
+        let out = dir.path().join("out");
+        let mut command = holescout("evaluate");
+        command.arg("--dataset").arg(&REPEATED.dataset).arg("--out").arg(&out);
+        let said =
+            run(command.args(["--split", "all", "--threads", threads]).args(SMALL)).succeeds();
+        assert_says(
+            &said,
+            &["expected precision", "Label ceiling", "maps tell errors", "are unsure"],
+        );
+        assert_same_files(&tree(&out), &tree(&OF_REPEATS));
+    }
+    let table = |name: &str| String::from_utf8(read(&OF_REPEATS.join(name))).expect("text");
+    assert_says(&table("scores.csv"), &[",expected_precision,", ",sure_high\n"]);
+    assert_says(&table("maps.csv"), &["precision,recall,expected_precision,sure_holes,sure\n"]);
+    assert_says(&table("distance.csv"), &["expected_high\n"]);
+    assert_says(&table("distance.svg"), &["chance of a hole"]);
 }

@@ -41,6 +41,7 @@ fn worlds() -> impl Strategy<Value = World> {
                 height_m: Array2::from_shape_fn((n, n), |i| if at(i).0 == 0 { 12.0 } else { 0.0 }),
                 rsrp_dbm: Array2::from_shape_fn((n, n), |i| at(i).1),
                 mask: Array2::from_shape_fn((n, n), |i| u8::from(at(i).0 == 0)),
+                errors: None,
             };
             let config = RlConfig { reach_cells: REACH, ..RlConfig::default() };
             World::new(&RECORD, &grids, &config)

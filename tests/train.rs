@@ -344,6 +344,7 @@ fn it_learns_a_map_with_a_known_answer() {
         height_m: Array2::zeros((121, 121)),
         rsrp_dbm: Array2::from_shape_fn((121, 121), |(_, column)| -120.0 + column as f32),
         mask: Array2::zeros((121, 121)),
+        errors: None,
     };
     let train = TrainConfig {
         updates: 300,

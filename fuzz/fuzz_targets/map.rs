@@ -26,6 +26,11 @@ fuzz_target!(|bytes: &[u8]| {
             };
             let Ok((described, map)) = load() else { continue };
             assert!(map.values.is_square() && !map.values.is_empty());
+            if let Some(repeats) = &map.repeats {
+                let half = repeats.first_half.as_ref();
+                assert!(repeats.count > 1 && repeats.std_error.dim() == map.values.dim());
+                assert!(half.is_none_or(|half| half.dim() == map.values.dim()));
+            }
             assert!(described.metadata.tx_position_m.all().contains(&map.tx_position_m));
             assert!(supplement.preset.is_some() || described.assumed.is_empty());
             let (again, same) = load().expect("loaded before");

@@ -40,4 +40,6 @@ fuzz_target!(|bytes: &[u8]| {
     written_again::<f32>(&npy);
     written_again::<f64>(&npy);
     written_again::<u8>(&npy);
+    written_again::<i16>(&npy);
+    written_again::<u16>(&npy);
 });

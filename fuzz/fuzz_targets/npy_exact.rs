@@ -15,6 +15,8 @@ enum Kind {
     F4,
     F8,
     U1,
+    I2,
+    U2,
 }
 
 #[derive(Debug, Arbitrary)]
@@ -52,6 +54,8 @@ impl Written {
             Kind::F4 => ("f4", 4),
             Kind::F8 => ("f8", 8),
             Kind::U1 => ("u1", 1),
+            Kind::I2 => ("i2", 2),
+            Kind::U2 => ("u2", 2),
         };
         let order = match (self.big_endian, size) {
             (_, 1) => '|',
@@ -108,6 +112,8 @@ fuzz_target!(|written: Written| {
         Kind::F4 => written.demand(&file, |value: f32| value.to_bits().into()),
         Kind::F8 => written.demand(&file, f64::to_bits),
         Kind::U1 => written.demand(&file, |value: u8| value.into()),
+        Kind::I2 => written.demand(&file, |value: i16| (value as u16).into()),
+        Kind::U2 => written.demand(&file, |value: u16| value.into()),
     }
     file.push(0);
     assert!(matches!(read_npy(&file), Err(NpyError::Length { .. })));

@@ -12,6 +12,13 @@ fn same(a: &Grids, b: &Grids) {
     assert_eq!(bits(&a.height_m), bits(&b.height_m));
     assert_eq!(bits(&a.rsrp_dbm), bits(&b.rsrp_dbm));
     assert_eq!(a.mask, b.mask);
+    let errors = |grids: &Grids| {
+        grids.errors.as_ref().map(|errors| {
+            let shares = errors.first_half_share.as_ref().map(&bits);
+            (bits(&errors.std_error_db), shares)
+        })
+    };
+    assert_eq!(errors(a), errors(b));
 }
 
 fuzz_target!(|bytes: &[u8]| {

@@ -9,7 +9,7 @@ use super::{ConfigError, demand};
 use crate::units::Dbm;
 
 /// Keys of a map's metadata (schema `radio_map.v1`) that `[rsrp.assume]` may supply.
-const ASSUMABLE: [&str; 21] = [
+const ASSUMABLE: [&str; 23] = [
     "value_kind",
     "row_order",
     "no_path_value",
@@ -31,6 +31,8 @@ const ASSUMABLE: [&str; 21] = [
     "diffraction",
     "materials",
     "seed",
+    "repeats",
+    "direction_shift",
 ];
 
 /// Producers whose files are read without metadata of ours.

@@ -11,7 +11,9 @@
 
 use serde_json::{Value, json};
 
-use super::view::COLUMNS;
+use super::card;
+use super::statistics::reliability_of;
+use super::view::columns;
 use crate::config::Split;
 use crate::manifest::{DatasetManifest, to_json};
 use crate::store::{Digest, MANIFEST};
@@ -20,6 +22,9 @@ use crate::store::{Digest, MANIFEST};
 pub(crate) const FILE: &str = "croissant.json";
 /// Name of a release's table of records.
 pub(crate) const TABLE: &str = "records.csv";
+/// Arrays of a record, those of errors last.
+const BANDS: [&str; 5] = ["height_m", "rsrp_dbm", "mask", "std_error_db", "first_half_share"];
+const BANDS_OF_ERRORS: usize = 2;
 const ZSTD: &str = "application/zstd";
 
 /// The description of a dataset whose manifest has a digest; `table` is that of `records.csv`,
@@ -46,10 +51,12 @@ pub(crate) fn croissant(
     }));
     files.extend(manifest.statistics.keys().map(|split| shards_of(*split)));
     let records = match table {
-        Some(_) => table_of_records(),
-        None => index_of_records(),
+        Some(_) => table_of_records(manifest),
+        None => index_of_records(manifest),
     };
     let [south, west, north, east] = bounds(manifest);
+    let has_errors = reliability_of(manifest).is_some();
+    let bands = if has_errors { BANDS.as_slice() } else { &BANDS[..BANDS.len() - BANDS_OF_ERRORS] };
     let mut dataset = json!({
         "@context": context(),
         "@type": "sc:Dataset",
@@ -75,12 +82,12 @@ pub(crate) fn croissant(
         "geocr:spatialResolution": quantity(*cell_m, "m"),
         "geocr:bandConfiguration": {
             "@type": "geocr:BandConfiguration",
-            "geocr:totalBands": 3,
-            "geocr:bandNameList": ["height_m", "rsrp_dbm", "mask"],
+            "geocr:totalBands": bands.len(),
+            "geocr:bandNameList": bands,
         },
         "geocr:samplingStrategy": sampling(manifest),
         "geocr:spatialBias": bias(manifest),
-        "variableMeasured": variables(*cells),
+        "variableMeasured": variables(*cells, has_errors),
         "distribution": files,
         "recordSet": [records, table_of_shards(manifest)],
     });
@@ -153,10 +160,13 @@ pub(crate) fn default_name(manifest: &DatasetManifest) -> String {
 
 fn description(manifest: &DatasetManifest) -> String {
     let DatasetManifest { cells, cell_m, .. } = manifest;
+    let reliability = reliability_of(manifest).map_or_else(String::new, |reliability| {
+        format!(" {}", card::reliability_in_words(manifest, &reliability))
+    });
     format!(
         "Building heights from OpenStreetMap and ray-traced RSRP maps of {cells} × {cells} cells of \
          {cell_m} m, for finding coverage holes. Each record is a MessagePack map with `height_m`, \
-         `rsrp_dbm` and `mask` as .npy arrays, base station, radio parameters and provenance."
+         `rsrp_dbm` and `mask` as .npy arrays, base station, radio parameters and provenance.{reliability}"
     )
 }
 
@@ -192,7 +202,7 @@ fn bounds(manifest: &DatasetManifest) -> [f64; 4] {
     bounds
 }
 
-fn variables(cells: u32) -> Value {
+fn variables(cells: u32, has_errors: bool) -> Value {
     let variable = |name: &str, unit: &str, text: &str| {
         json!({
             "@type": "PropertyValue",
@@ -201,15 +211,34 @@ fn variables(cells: u32) -> Value {
             "description": format!("{text} [{cells}, {cells}], row 0 north, column 0 west."),
         })
     };
-    json!([
+    let levels = if has_errors {
+        "int16: RSRP in 0.01 dBm per resource element, -32768 where no path arrives (record.v2); \
+         float32 in dBm in records without errors (record.v1)."
+    } else {
+        "float32: RSRP in dBm per resource element."
+    };
+    let mut variables = vec![
         variable(
             "height_m",
             "m",
-            "float32: height of the highest building, 0 where there is none."
+            "float32: height of the highest building, 0 where there is none.",
         ),
-        variable("rsrp_dbm", "dBm", "float32: RSRP in dBm per resource element."),
+        variable("rsrp_dbm", "dBm", levels),
         variable("mask", "code", "uint8: 0 outdoor, 1 building, 2 outdoor without a path."),
-    ])
+    ];
+    if has_errors {
+        variables.push(variable(
+            "std_error_db",
+            "dB",
+            "uint16: standard error of rsrp_dbm over independent traces, in 0.01 dB.",
+        ));
+        variables.push(variable(
+            "first_half_share",
+            "1",
+            "uint8: share of the summed power that the first half of the traces received, in 1/250.",
+        ));
+    }
+    json!(variables)
 }
 
 fn quantity(value: f64, unit: &str) -> Value {
@@ -267,22 +296,24 @@ fn field(set: &str, [name, kind, text]: [&str; 3], source: Option<Value>) -> Val
 }
 
 /// The records as `records.csv` has them.
-fn table_of_records() -> Value {
-    let fields = COLUMNS.map(|column| {
+fn table_of_records(manifest: &DatasetManifest) -> Value {
+    let fields = columns(manifest).into_iter().map(|column| {
         let extract = json!({ "column": column[0] });
         let source = json!({ "fileObject": { "@id": TABLE }, "extract": extract });
         field("records", column, Some(source))
     });
+    let fields: Vec<Value> = fields.collect();
     record_set("records", "id", "Every record, without its arrays.", &fields)
 }
 
 /// The records as the manifest has them.
-fn index_of_records() -> Value {
-    let columns = COLUMNS.iter().filter(|[name, ..]| ["id", "shard", "frame"].contains(name));
+fn index_of_records(manifest: &DatasetManifest) -> Value {
+    let columns = columns(manifest).into_iter();
+    let columns = columns.filter(|[name, ..]| ["id", "shard", "frame"].contains(name));
     let fields = columns.map(|column| {
         let extract = json!({ "jsonPath": format!("$.records[*].{}", column[0]) });
         let source = json!({ "fileObject": { "@id": MANIFEST }, "extract": extract });
-        field("records", *column, Some(source))
+        field("records", column, Some(source))
     });
     record_set("records", "id", "Where every record is.", &fields.collect::<Vec<_>>())
 }

@@ -1,14 +1,18 @@
 //! One record: a MessagePack map with named fields; its arrays are `.npy` files as byte
 //! strings, so that element type and shape travel along.
+//!
+//! A record of a map that was traced once has schema `record.v1`. One of a map of several repeats has
+//! schema `record.v2`: errors beside the levels, both as integers (`packed`). Both are read alike.
 
 use ndarray::Array2;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 
+use super::packed::{self, Packed};
 use crate::config::Split;
 use crate::grid::TileId;
-use crate::manifest::{BaseStation, BuiltBySource, Radio, SourceMap};
+use crate::manifest::{BaseStation, BuiltBySource, ErrorGrids, Radio, SourceMap};
 use crate::radio_map::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 use crate::store::{Element, NpyError, npy_bytes, read_npy};
 use crate::units::Dbm;
@@ -35,8 +39,7 @@ pub struct Provenance {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
-    /// Always `record.v1`.
-    #[schemars(extend("const" = "record.v1"))]
+    /// `record.v1`, or `record.v2` where there are errors.
     pub schema: String,
     /// The tile.
     pub id: TileId,
@@ -57,12 +60,27 @@ pub struct Record {
     #[schemars(with = "Vec<u8>")]
     pub height_m: ByteBuf,
     /// `.npy`, float32 `[n, n]`: RSRP in dBm per resource element. A building cell that is partly
-    /// outdoors holds the level there, a wholly covered one the floor.
+    /// outdoors holds the level there, a wholly covered one the floor. In `record.v2` int16, in
+    /// hundredths of dBm, with -32768 for the floor; levels below -327.67 dBm are raised to that.
     #[schemars(with = "Vec<u8>")]
     pub rsrp_dbm: ByteBuf,
     /// `.npy`, uint8 `[n, n]`: 0 outdoor reached, 1 building, 2 outdoor unreached.
     #[schemars(with = "Vec<u8>")]
     pub mask: ByteBuf,
+    /// Independent repeats that levels are the mean of, two at least (`record.v2`);
+    /// `radio.samples_per_tx` counts the rays of one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeats: Option<u32>,
+    /// `.npy`, uint16 `[n, n]`: standard error of each level in hundredths of dB, 0 to 434
+    /// (`record.v2`). See [`ErrorGrids`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<Vec<u8>>")]
+    pub std_error_db: Option<ByteBuf>,
+    /// `.npy`, uint8 `[n, n]`: share of the summed power that the first half of the repeats received,
+    /// in 250ths (`record.v2`, where the map tells it). See [`ErrorGrids`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<Vec<u8>>")]
+    pub first_half_share: Option<ByteBuf>,
     /// What cells without a path hold, in dBm.
     pub floor_dbm: Dbm,
     /// Cells at least this high are buildings in the mask, in metres.
@@ -84,6 +102,8 @@ pub struct Grids {
     pub rsrp_dbm: Array2<f32>,
     /// 0 outdoor reached, 1 building, 2 outdoor unreached.
     pub mask: Array2<u8>,
+    /// Errors of the levels, where the map has several repeats.
+    pub errors: Option<ErrorGrids>,
 }
 
 /// Why bytes are no record, or no sound one.
@@ -91,7 +111,7 @@ pub struct Grids {
 #[non_exhaustive]
 pub enum RecordError {
     /// No MessagePack of this schema.
-    #[error("no record of schema record.v1: {0}")]
+    #[error("no record of schema record.v1 or record.v2: {0}")]
     Encoding(String),
     /// An array is damaged.
     #[error("array {field}: {source}")]
@@ -114,17 +134,31 @@ pub enum RecordError {
 }
 
 impl Record {
-    /// The value of `schema`.
+    /// The value of `schema` without errors.
     pub const SCHEMA: &'static str = "record.v1";
+    /// The value of `schema` with errors.
+    pub const SCHEMA_WITH_ERRORS: &'static str = "record.v2";
     /// The value of `row_order`.
     pub const ROW_ORDER: &'static str = "north_first";
 
-    /// Puts arrays into the byte strings of a record.
+    /// Puts arrays into the byte strings of a record, and sets the schema after them. Levels with
+    /// errors are rounded to hundredths; [`Record::repeats`] must be set then.
     #[must_use]
     pub fn with_grids(mut self, grids: &Grids) -> Self {
         self.height_m = ByteBuf::from(npy_bytes(&grids.height_m));
-        self.rsrp_dbm = ByteBuf::from(npy_bytes(&grids.rsrp_dbm));
         self.mask = ByteBuf::from(npy_bytes(&grids.mask));
+        (self.std_error_db, self.first_half_share) = (None, None);
+        if let Some(errors) = &grids.errors {
+            let packed = packed::pack(&self, grids, errors);
+            let Packed { rsrp_dbm, std_error_db, first_half_share } = packed;
+            Self::SCHEMA_WITH_ERRORS.clone_into(&mut self.schema);
+            self.rsrp_dbm = rsrp_dbm;
+            (self.std_error_db, self.first_half_share) = (Some(std_error_db), first_half_share);
+        } else {
+            Self::SCHEMA.clone_into(&mut self.schema);
+            self.rsrp_dbm = ByteBuf::from(npy_bytes(&grids.rsrp_dbm));
+            self.repeats = None;
+        }
         self
     }
 
@@ -146,9 +180,7 @@ impl Record {
         let mut rest = bytes;
         let record: Self = rmp_serde::from_read(&mut rest)
             .map_err(|error| RecordError::Encoding(error.to_string()))?;
-        if record.schema != Self::SCHEMA {
-            return Err(RecordError::Encoding(format!("schema is {:?}", record.schema)));
-        }
+        record.check_schema()?;
         if !rest.is_empty() {
             let found = format!("{} bytes after the record", rest.len());
             return Err(RecordError::Encoding(found));
@@ -163,33 +195,63 @@ impl Record {
         Ok(record)
     }
 
+    /// Which schema it is, and whether it has the fields that belong to it.
+    fn check_schema(&self) -> Result<(), RecordError> {
+        let of_errors = [
+            ("repeats", self.repeats.is_some()),
+            ("std_error_db", self.std_error_db.is_some()),
+            ("first_half_share", self.first_half_share.is_some()),
+        ];
+        let fields: Vec<&str> =
+            of_errors.iter().filter_map(|(name, given)| given.then_some(*name)).collect();
+        let is_whole = match self.schema.as_str() {
+            Self::SCHEMA => fields.is_empty(),
+            Self::SCHEMA_WITH_ERRORS => {
+                self.repeats.is_some_and(|repeats| repeats > 1) && self.std_error_db.is_some()
+            }
+            _ => return Err(RecordError::Encoding(format!("schema is {:?}", self.schema))),
+        };
+        if is_whole {
+            return Ok(());
+        }
+        let (schema, repeats) = (&self.schema, self.repeats.unwrap_or(1));
+        let found = format!("{schema} with {repeats} repeats and the fields {fields:?}");
+        Err(RecordError::Encoding(found))
+    }
+
+    /// One of the arrays.
+    pub(super) fn matrix<T: Element>(
+        field: &'static str,
+        bytes: &[u8],
+        cells: usize,
+    ) -> Result<Array2<T>, RecordError> {
+        let array: Array2<T> = read_npy(bytes)
+            .and_then(|npy| npy.to_array2())
+            .map_err(|source| RecordError::Array { field, source })?;
+        if array.dim() == (cells, cells) {
+            return Ok(array);
+        }
+        Err(RecordError::Value {
+            field,
+            found: format!("shape {:?}", array.dim()),
+            expected: format!("{:?}", (cells, cells)),
+        })
+    }
+
     /// The arrays, each a square matrix of `cells` × `cells`.
     ///
     /// # Errors
     /// [`RecordError::Array`] and [`RecordError::Value`].
     pub fn grids(&self, cells: usize) -> Result<Grids, RecordError> {
-        fn matrix<T: Element>(
-            field: &'static str,
-            bytes: &[u8],
-            cells: usize,
-        ) -> Result<Array2<T>, RecordError> {
-            let array: Array2<T> = read_npy(bytes)
-                .and_then(|npy| npy.to_array2())
-                .map_err(|source| RecordError::Array { field, source })?;
-            if array.dim() == (cells, cells) {
-                return Ok(array);
-            }
-            Err(RecordError::Value {
-                field,
-                found: format!("shape {:?}", array.dim()),
-                expected: format!("{:?}", (cells, cells)),
-            })
+        let height_m = Self::matrix("height_m", &self.height_m, cells)?;
+        if self.schema == Self::SCHEMA_WITH_ERRORS {
+            let mask = Self::matrix("mask", &self.mask, cells)?;
+            let (rsrp_dbm, errors) = packed::unpack(self, &mask)?;
+            return Ok(Grids { height_m, rsrp_dbm, mask, errors: Some(errors) });
         }
-        Ok(Grids {
-            height_m: matrix("height_m", &self.height_m, cells)?,
-            rsrp_dbm: matrix("rsrp_dbm", &self.rsrp_dbm, cells)?,
-            mask: matrix("mask", &self.mask, cells)?,
-        })
+        let rsrp_dbm = Self::matrix("rsrp_dbm", &self.rsrp_dbm, cells)?;
+        let mask = Self::matrix("mask", &self.mask, cells)?;
+        Ok(Grids { height_m, rsrp_dbm, mask, errors: None })
     }
 
     /// The arrays, after checking that their values mean what the schema says.
@@ -214,6 +276,7 @@ impl Record {
                 return Err(self.unsound(((row, column), height, rsrp, kind)));
             }
         }
+        packed::check(&grids)?;
         Ok(grids)
     }
 
@@ -288,6 +351,7 @@ pub(crate) mod tests {
             height_m: array![[0.0, 9.0], [0.0, 1.5]],
             rsrp_dbm: array![[-90.0, -160.0], [-160.0, -101.5]],
             mask: array![[0, 1], [2, 0]],
+            errors: None,
         };
         let id: TileId = "utm10n_e598016_n4128768".parse().expect("an id");
         let digest = sha256_bytes(b"map");
@@ -303,6 +367,9 @@ pub(crate) mod tests {
             height_m: ByteBuf::new(),
             rsrp_dbm: ByteBuf::new(),
             mask: ByteBuf::new(),
+            repeats: None,
+            std_error_db: None,
+            first_half_share: None,
             floor_dbm: Dbm(-160.0),
             flight_height_m: 2.0,
             base_station: BaseStation {
@@ -364,7 +431,7 @@ pub(crate) mod tests {
         damaged.mask = ByteBuf::from(vec![1, 2, 3]);
         assert!(matches!(damaged.grids(2), Err(RecordError::Array { field: "mask", .. })));
         let mut future = record.clone();
-        future.schema = "record.v2".to_owned();
+        future.schema = "record.v3".to_owned();
         assert!(Record::decode(&future.encode()).is_err());
         let mut turned = record.clone();
         turned.row_order = "south_first".to_owned();

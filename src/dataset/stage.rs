@@ -10,7 +10,7 @@ use serde_bytes::ByteBuf;
 
 use super::card;
 use super::croissant;
-use super::downsample::{downsample_heights, downsample_rsrp};
+use super::downsample::{downsample_errors, downsample_heights, downsample_rsrp};
 use super::record::{Grids, Provenance, Record, RecordError};
 use super::split::assign_splits;
 use super::statistics;
@@ -342,6 +342,9 @@ fn build_record(
         height_m: ByteBuf::new(),
         rsrp_dbm: ByteBuf::new(),
         mask: ByteBuf::new(),
+        repeats: map.meta.repeats,
+        std_error_db: None,
+        first_half_share: None,
         floor_dbm: map.meta.floor_dbm,
         flight_height_m: config.buildings.flight_height_m,
         base_station: map.meta.base_station,
@@ -356,7 +359,8 @@ fn build_record(
         },
     }
     .with_grids(&grids);
-    record.sound_grids(cells).map_err(|source| ShardError::Unsound { id, source })?;
+    // As readers get them: levels with errors were rounded.
+    let grids = record.sound_grids(cells).map_err(|source| ShardError::Unsound { id, source })?;
     let statistics = statistics::statistics_of(&record, &grids);
     Ok((record, statistics))
 }
@@ -373,13 +377,10 @@ fn grids(tile: &TileFile, map: &RsrpFile, config: &DatasetConfig) -> Result<Grid
     if factor < 1.0 || (factor * found - expected).abs() > 1e-9 * expected {
         return Err(ShardError::CellSize { id: map.meta.id, found, expected });
     }
-    let (rsrp_dbm, mut mask) = downsample_rsrp(
-        map.rsrp_dbm.view(),
-        map.mask.view(),
-        factor as usize,
-        shard.rsrp,
-        map.meta.floor_dbm,
-    );
+    let (rsrp, kinds, factor) = (map.rsrp_dbm.view(), map.mask.view(), factor as usize);
+    let (rsrp_dbm, mut mask) = downsample_rsrp(rsrp, kinds, factor, shard.rsrp, map.meta.floor_dbm);
+    let errors = map.errors.as_ref();
+    let errors = errors.map(|errors| downsample_errors(rsrp, kinds, errors, factor, shard.rsrp));
     for (kind, &height) in mask.iter_mut().zip(&height_m) {
         if f64::from(height) >= buildings.flight_height_m {
             *kind = MASK_BUILDING;
@@ -388,5 +389,5 @@ fn grids(tile: &TileFile, map: &RsrpFile, config: &DatasetConfig) -> Result<Grid
             *kind = MASK_UNREACHED;
         }
     }
-    Ok(Grids { height_m, rsrp_dbm, mask })
+    Ok(Grids { height_m, rsrp_dbm, mask, errors })
 }

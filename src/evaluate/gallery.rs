@@ -128,12 +128,7 @@ mod tests {
 
     #[test]
     fn maps_are_chosen_from_the_easiest_to_the_hardest() {
-        let map = |hole_cells| MapResult {
-            outdoor_cells: 100,
-            hole_cells,
-            difficulty: crate::evaluate::report::Difficulty::default(),
-            methods: Vec::new(),
-        };
+        let map = |hole_cells| MapResult { outdoor_cells: 100, hole_cells, ..MapResult::default() };
         let maps: Vec<MapResult> = [50, 10, 40, 20, 30].map(map).to_vec();
         assert_eq!(choose(&maps, 3), [1, 4, 0]);
         assert_eq!(choose(&maps, 9), [1, 3, 4, 2, 0]);

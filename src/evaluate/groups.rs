@@ -1,4 +1,4 @@
-//! Parts of the maps: by share of holes, and by region.
+//! Parts of the maps: by share of holes, by density and height of buildings, by region.
 
 use super::report::GroupKind;
 use crate::crs::Utm;
@@ -7,7 +7,18 @@ use crate::grid::TileId;
 /// Tiles at most this far from another belong to its region, in metres.
 const REGION_GAP_M: u64 = 10_000;
 
-/// Whether a share of holes belongs to a stratum.
+/// What a map is like.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Traits {
+    /// Share of outdoor cells that are holes.
+    pub(super) hole_share: f64,
+    /// Share of cells that are occupied.
+    pub(super) built_share: f64,
+    /// Mean height of occupied cells, in metres.
+    pub(super) mean_height_m: f64,
+}
+
+/// Whether a value belongs to a stratum.
 type Belongs = fn(f64) -> bool;
 
 /// Maps that are judged together, by their positions in the list of maps.
@@ -18,26 +29,48 @@ pub(super) struct Members {
     pub(super) maps: Vec<usize>,
 }
 
-/// All groups that have a map: first by share of holes, then by region.
-pub(super) fn groups(ids: &[TileId], hole_shares: &[f64]) -> Vec<Members> {
-    let strata: [(&str, Belongs); 5] = [
-        ("no holes", |share| share == 0.0),
-        ("below 10 %", |share| share > 0.0 && share < 0.1),
-        ("10 to 20 %", |share| (0.1..0.2).contains(&share)),
-        ("20 to 40 %", |share| (0.2..0.4).contains(&share)),
-        ("40 % and more", |share| share >= 0.4),
+const BY_HOLES: [(&str, Belongs); 5] = [
+    ("no holes", |share| share == 0.0),
+    ("below 10 %", |share| share > 0.0 && share < 0.1),
+    ("10 to 20 %", |share| (0.1..0.2).contains(&share)),
+    ("20 to 40 %", |share| (0.2..0.4).contains(&share)),
+    ("40 % and more", |share| share >= 0.4),
+];
+const BY_BUILT_SHARE: [(&str, Belongs); 4] = [
+    ("below 20 %", |share| share < 0.2),
+    ("20 to 30 %", |share| (0.2..0.3).contains(&share)),
+    ("30 to 40 %", |share| (0.3..0.4).contains(&share)),
+    ("40 % and more", |share| share >= 0.4),
+];
+const BY_HEIGHT: [(&str, Belongs); 4] = [
+    ("below 5 m", |metres| metres < 5.0),
+    ("5 to 10 m", |metres| (5.0..10.0).contains(&metres)),
+    ("10 to 20 m", |metres| (10.0..20.0).contains(&metres)),
+    ("20 m and more", |metres| metres >= 20.0),
+];
+
+/// All groups that have a map: by share of holes, density of buildings, height of buildings, region.
+pub(super) fn groups(ids: &[TileId], traits: &[Traits]) -> Vec<Members> {
+    let strata = |kind, strata: &[(&str, Belongs)], value: fn(&Traits) -> f64| {
+        let members = |&(name, belongs): &(&str, Belongs)| Members {
+            kind,
+            name: name.to_owned(),
+            maps: (0..ids.len()).filter(|&map| belongs(value(&traits[map]))).collect(),
+        };
+        strata.iter().map(members).collect::<Vec<_>>()
+    };
+    let by_trait = [
+        strata(GroupKind::HoleShare, &BY_HOLES, |of| of.hole_share),
+        strata(GroupKind::BuiltShare, &BY_BUILT_SHARE, |of| of.built_share),
+        strata(GroupKind::Height, &BY_HEIGHT, |of| of.mean_height_m),
     ];
-    let by_share = strata.into_iter().map(|(name, belongs)| Members {
-        kind: GroupKind::HoleShare,
-        name: name.to_owned(),
-        maps: (0..ids.len()).filter(|&map| belongs(hole_shares[map])).collect(),
-    });
     let by_region = regions(ids).into_iter().map(|maps| Members {
         kind: GroupKind::Region,
         name: region_name(ids, &maps),
         maps,
     });
-    by_share.chain(by_region).filter(|group| !group.maps.is_empty()).collect()
+    let groups = by_trait.into_iter().flatten().chain(by_region);
+    groups.filter(|group| !group.maps.is_empty()).collect()
 }
 
 /// Regions in the order of their first maps: single linkage of tile centres.
@@ -104,8 +137,15 @@ mod tests {
     #[test]
     fn every_map_has_one_stratum_and_one_region() {
         let ids = vec![id("utm10n_e590000_n4130000"); 6];
-        let groups = groups(&ids, &[0.0, 0.05, 0.1, 0.2, 0.4, 1.0]);
-        for kind in [GroupKind::HoleShare, GroupKind::Region] {
+        let traits = [0.0, 0.05, 0.1, 0.2, 0.4, 1.0].map(|share| Traits {
+            hole_share: share,
+            built_share: share / 2.0,
+            mean_height_m: 30.0 * share,
+        });
+        let groups = groups(&ids, &traits);
+        let kinds =
+            [GroupKind::HoleShare, GroupKind::BuiltShare, GroupKind::Height, GroupKind::Region];
+        for kind in kinds {
             let of_kind = groups.iter().filter(|group| group.kind == kind);
             let mut maps: Vec<usize> = of_kind.flat_map(|group| group.maps.clone()).collect();
             maps.sort_unstable();

@@ -2,6 +2,8 @@
 
 use std::sync::OnceLock;
 
+use super::distance::{DistanceCount, by_distance};
+use super::labels::{Labels, LabelsOnMap, is_sure, is_sure_hole};
 use super::methods;
 use super::report::Difficulty;
 use super::track::{Place, Track, fly};
@@ -16,6 +18,8 @@ const STALE: u64 = 4;
 #[derive(Debug)]
 pub(super) struct Scene {
     pub(super) truth: World,
+    /// How sure its holes are, if the map tells.
+    labels: Option<Labels>,
     /// Where it differs from the truth.
     stored: Option<World>,
     /// Least steps to a hole, once somebody asks.
@@ -23,7 +27,7 @@ pub(super) struct Scene {
 }
 
 impl Scene {
-    pub(super) fn new(truth: World, config: &EvaluateConfig) -> Self {
+    pub(super) fn new(truth: World, labels: Option<Labels>, config: &EvaluateConfig) -> Self {
         let random = |what| Random::keyed(&[&[config.seed][..], &truth.key(), &[what]].concat());
         let stale = (config.stale_share > 0.0)
             .then(|| truth.with_stale_buildings(config.stale_share, &mut random(STALE)));
@@ -33,7 +37,7 @@ impl Scene {
         } else {
             stale
         };
-        Self { truth, stored, hops: OnceLock::new() }
+        Self { truth, labels, stored, hops: OnceLock::new() }
     }
 
     /// What a method flies in: the oracle knows the truth, and measures without error.
@@ -63,7 +67,8 @@ impl Scene {
     pub(super) fn judged(&self, method: Method, flying: Flying<'_>) -> MethodOnMap {
         let config = &flying.config.evaluate;
         let tracks = self.tracks(method, flying);
-        judge(&self.truth, &tracks, methods::steps(method, config), config)
+        let truth = Truth { world: &self.truth, labels: self.labels.as_ref() };
+        judge(truth, &tracks, methods::steps(method, config), config)
     }
 }
 
@@ -82,6 +87,19 @@ pub(super) struct MapScore {
     pub(super) precision: Option<f64>,
     pub(super) recall: Option<f64>,
     pub(super) recall_with_indoor: Option<f64>,
+    /// Mean chance that a predicted cell is a hole; none of the three without errors.
+    pub(super) expected: Option<f64>,
+    /// Share of predicted cells that surely are holes.
+    pub(super) sure_holes: Option<f64>,
+    /// Share of predicted cells that surely are holes, or surely none.
+    pub(super) sure: Option<f64>,
+}
+
+/// What predictions are held against.
+#[derive(Debug, Clone, Copy)]
+struct Truth<'a> {
+    world: &'a World,
+    labels: Option<&'a Labels>,
 }
 
 /// What a method came to on one map.
@@ -98,10 +116,18 @@ pub(super) struct MethodOnMap {
 }
 
 /// What all methods came to on one map.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct MapResult {
     pub(super) outdoor_cells: u64,
     pub(super) hole_cells: u64,
+    /// Occupied cells as a share of all, 0 to 1.
+    pub(super) built_share: f64,
+    /// Mean height of occupied cells, in metres.
+    pub(super) mean_height_m: f64,
+    /// Outdoor cells and holes by distance to the nearest wall.
+    pub(super) distances: Vec<DistanceCount>,
+    /// How sure its holes are, if the map tells.
+    pub(super) labels: Option<LabelsOnMap>,
     pub(super) difficulty: Difficulty,
     /// In the order of the configuration.
     pub(super) methods: Vec<MethodOnMap>,
@@ -128,9 +154,25 @@ pub(super) fn evaluate(scene: &Scene, flying: Flying<'_>) -> MapResult {
     let outdoors: Vec<Cell> =
         truth.free_cells().into_iter().filter(|&cell| truth.is_outdoors(cell)).collect();
     let methods = config.evaluate.methods.iter().map(|&method| scene.judged(method, flying));
+    let labels = scene.labels.as_ref();
+    let chance = labels.map(|labels| |cell: Cell| labels.chance(truth.index(cell)));
+    let on_map = labels.map(|labels| {
+        // From the starts of all methods that start anywhere.
+        let place = scene.place(Method::Oracle, sight);
+        let starts = methods::starts(Method::Oracle, place, &config.evaluate);
+        labels.on_map(truth, sight, &outdoors, &starts, &config.evaluate.steps)
+    });
+    let heights = truth.heights().iter().enumerate();
+    let built = heights.filter(|&(at, _)| truth.is_occupied(truth.cell(at)));
+    let (occupied, heights) =
+        built.fold((0_u64, 0.0), |(count, sum), (_, &height)| (count + 1, sum + f64::from(height)));
     MapResult {
         outdoor_cells: outdoors.len() as u64,
         hole_cells: truth.hole_cells() as u64,
+        built_share: occupied as f64 / (truth.cells() * truth.cells()).max(1) as f64,
+        mean_height_m: heights / occupied.max(1) as f64,
+        distances: by_distance(truth, &outdoors, chance.as_ref().map(|it| it as _)),
+        labels: on_map,
         difficulty: difficulty(scene.hops(sight), &outdoors),
         methods: methods.collect(),
     }
@@ -155,17 +197,22 @@ fn count(counts: &mut Vec<u64>, at: usize) {
     counts[at] += 1;
 }
 
-fn judge(truth: &World, tracks: &[Track], steps: &[u32], config: &EvaluateConfig) -> MethodOnMap {
+fn judge(
+    truth: Truth<'_>,
+    tracks: &[Track],
+    steps: &[u32],
+    config: &EvaluateConfig,
+) -> MethodOnMap {
     let mut result = MethodOnMap {
         scores: steps.iter().map(|&k| scores(truth, tracks, k, config.starts)).collect(),
         found_after: Vec::new(),
         not_found: 0,
         predictions: tracks.iter().map(|track| track.steps() as u64).sum(),
         blocked: tracks.iter().map(|track| track.blocked).sum(),
-        metres: tracks.iter().map(Track::length).sum::<f64>() * truth.cell_m(),
+        metres: tracks.iter().map(Track::length).sum::<f64>() * truth.world.cell_m(),
     };
     for track in tracks {
-        if truth.is_hole(track.cell_after(u32::MAX)) {
+        if truth.world.is_hole(track.cell_after(u32::MAX)) {
             count(&mut result.found_after, track.steps());
         } else {
             result.not_found += 1;
@@ -176,11 +223,13 @@ fn judge(truth: &World, tracks: &[Track], steps: &[u32], config: &EvaluateConfig
 
 /// Precision and recall, as the paper's section "Evaluation Metric" defines them, of the
 /// predictions after at most k steps from the first 1, 2, 5 ... starts.
-fn scores(truth: &World, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore> {
+fn scores(truth: Truth<'_>, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore> {
+    let Truth { world: truth, labels } = truth;
     let holes = truth.hole_cells();
     let share = |part: usize, whole: usize| (whole > 0).then(|| part as f64 / whole as f64);
     let mut seen = vec![false; truth.cells() * truth.cells()];
     let (mut done, mut hits, mut unique) = (0, 0, 0);
+    let (mut chances, mut sure_holes, mut sure) = (0.0, 0, 0);
     let counts = counts(starts);
     counts
         .into_iter()
@@ -188,6 +237,12 @@ fn scores(truth: &World, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore>
             let available = tracks.len().min(count as usize);
             for track in &tracks[done..available] {
                 let cell = track.cell_after(k);
+                if let Some(labels) = labels {
+                    let chance = labels.chance(truth.index(cell));
+                    chances += chance;
+                    sure_holes += usize::from(is_sure_hole(chance));
+                    sure += usize::from(is_sure(chance));
+                }
                 if truth.is_hole(cell) {
                     hits += 1;
                     unique += usize::from(!std::mem::replace(&mut seen[truth.index(cell)], true));
@@ -199,6 +254,9 @@ fn scores(truth: &World, tracks: &[Track], k: u32, starts: u32) -> Vec<MapScore>
                 // Without a prediction nothing can be said about finding holes either.
                 recall: share(unique, holes).filter(|_| done > 0),
                 recall_with_indoor: share(unique, truth.weak_cells()).filter(|_| done > 0),
+                expected: labels.filter(|_| done > 0).map(|_| chances / done as f64),
+                sure_holes: labels.and_then(|_| share(sure_holes, done)),
+                sure: labels.and_then(|_| share(sure, done)),
             }
         })
         .collect()
@@ -209,6 +267,15 @@ mod tests {
     use super::*;
     use crate::rl::drawn_world as world;
     use proptest::prelude::*;
+
+    const NO_ERRORS: MapScore = MapScore {
+        precision: None,
+        recall: None,
+        recall_with_indoor: None,
+        expected: None,
+        sure_holes: None,
+        sure: None,
+    };
 
     fn track(cells: &[(i32, i32)]) -> Track {
         let path = cells.iter().map(|&(row, column)| Cell::new(row, column)).collect();
@@ -226,6 +293,7 @@ mod tests {
     #[test]
     fn precision_and_recall_by_hand() {
         let truth = world("oo.\n.#.\noo.", 2);
+        let truth = Truth { world: &truth, labels: None };
         let tracks = [
             track(&[(0, 2), (0, 0)]),
             track(&[(1, 0), (0, 0)]),
@@ -234,19 +302,20 @@ mod tests {
             track(&[(1, 2), (0, 2), (2, 1)]),
         ];
         let at = |k| {
-            let all = scores(&truth, &tracks, k, 5);
+            let all = scores(truth, &tracks, k, 5);
             *all.last().expect("all starts")
         };
         let score = |precision, recall, with_indoor| MapScore {
             precision: Some(precision),
             recall: Some(recall),
             recall_with_indoor: Some(with_indoor),
+            ..NO_ERRORS
         };
         assert_eq!(at(0), score(0.2, 0.25, 0.2));
         assert_eq!(at(1), score(0.6, 0.5, 0.4));
         assert_eq!(at(8), score(0.8, 0.75, 0.6));
-        assert_eq!(scores(&truth, &tracks, 1, 5)[1], score(1.0, 0.25, 0.2), "two starts");
-        assert_eq!(scores(&truth, &tracks[..2], 1, 5)[2], score(1.0, 0.25, 0.2), "all there are");
+        assert_eq!(scores(truth, &tracks, 1, 5)[1], score(1.0, 0.25, 0.2), "two starts");
+        assert_eq!(scores(truth, &tracks[..2], 1, 5)[2], score(1.0, 0.25, 0.2), "all there are");
     }
 
     proptest! {
@@ -258,7 +327,7 @@ mod tests {
                 .map(|&end| truth.cell(end))
                 .map(|end| track(&[(0, 0), (end.row, end.column)]))
                 .collect();
-            let scores = scores(&truth, &tracks, 1, 40);
+            let scores = scores(Truth { world: &truth, labels: None }, &tracks, 1, 40);
             let is_share = |value: Option<f64>| value.is_some_and(|v| (0.0..=1.0).contains(&v));
             for score in &scores {
                 prop_assert!(is_share(score.precision) && is_share(score.recall));
@@ -271,9 +340,10 @@ mod tests {
     #[test]
     fn without_holes_there_is_no_recall_and_without_starts_nothing() {
         let truth = world("..\n..", 2);
-        let score = scores(&truth, &[track(&[(0, 0)])], 0, 1)[0];
+        let without = |world| Truth { world, labels: None };
+        let score = scores(without(&truth), &[track(&[(0, 0)])], 0, 1)[0];
         assert_eq!((score.precision, score.recall), (Some(0.0), None));
         let holes = world("o.\n..", 2);
-        assert_eq!(scores(&holes, &[], 0, 1)[0].recall, None);
+        assert_eq!(scores(without(&holes), &[], 0, 1)[0].recall, None);
     }
 }

@@ -7,9 +7,11 @@
 
 mod bootstrap;
 mod chart;
+mod distance;
 mod figures;
 mod gallery;
 mod groups;
+mod labels;
 mod map;
 mod methods;
 mod page;
@@ -21,7 +23,8 @@ mod track;
 
 pub(crate) use chart::{LineChart, Point, Series, svg_to_png};
 pub use report::{
-    DatasetUsed, Difference, Difficulty, FlightFigures, Group, GroupKind, GroupScore, Interval,
-    Knows, MapsUsed, MethodInfo, OracleShare, Report, Score,
+    CeilingScore, DatasetUsed, Difference, Difficulty, DistanceFigures, FlightFigures, Group,
+    GroupKind, GroupScore, Interval, Knows, LabelFigures, MapsUsed, MethodInfo, OracleShare,
+    Report, Score,
 };
 pub use stage::{EvaluateError, EvaluateJob, evaluate, precision};

@@ -115,6 +115,17 @@ pub struct Score {
     pub recall: Option<Interval>,
     /// The same with the paper's literal set of holes, to which indoor cells belong.
     pub recall_with_indoor: Option<Interval>,
+    /// Mean chance that the predicted cells are holes: precision, if labels are not taken for sure. Over
+    /// the maps that tell errors; absent if none does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_precision: Option<Interval>,
+    /// Share of the predicted cells that are holes with a chance of at least 95 %.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sure_holes: Option<Interval>,
+    /// Share of the predicted cells that are holes with a chance of at least 95 % or at most 5 %: those
+    /// that `sure_holes` is about. Who flies into unsure cells loses both.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sure: Option<Interval>,
 }
 
 /// How a method flies, added up over all maps and starts, with as many steps as there are.
@@ -163,6 +174,9 @@ pub struct Difference {
     pub precision: Option<Interval>,
     /// Difference of recalls.
     pub recall: Option<Interval>,
+    /// Difference of expected precisions; absent if no map tells errors.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_precision: Option<Interval>,
 }
 
 /// What maps of a group have in common.
@@ -171,6 +185,10 @@ pub struct Difference {
 pub enum GroupKind {
     /// How many of their outdoor cells are holes.
     HoleShare,
+    /// How many of their cells are occupied.
+    BuiltShare,
+    /// The mean height of their occupied cells.
+    Height,
     /// Where they are: tiles less than 10 km from the next.
     Region,
 }
@@ -215,6 +233,59 @@ pub struct Difficulty {
     pub unreachable: u64,
 }
 
+/// Outdoor cells at some distance from the nearest wall.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DistanceFigures {
+    /// Their centres are at least this far from the wall, in metres.
+    pub from_m: f64,
+    /// They are nearer than this; absent for the last ones.
+    pub to_m: Option<f64>,
+    /// Outdoor cells of all maps that have a building.
+    pub cells: u64,
+    /// Of these, holes.
+    pub holes: u64,
+    /// Holes as a share of the cells.
+    pub hole_share: Option<Interval>,
+    /// Mean chance to be a hole, of the maps that tell errors; absent if none does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_hole_share: Option<Interval>,
+}
+
+/// What the best cell by one half of the repeats is worth by the other half: no method can find more
+/// that knows a map as well as half of its repeats do. From the starts of the random walk, both halves
+/// choosing in turn.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CeilingScore {
+    /// Steps (k).
+    pub k: u32,
+    /// Share of the chosen cells that are holes by the other half's mean.
+    pub precision: Option<Interval>,
+    /// Mean chance by the other half that they are holes.
+    pub expected_precision: Option<Interval>,
+}
+
+/// How sure the holes are, of the maps that tell errors, at `rl.hole_threshold_dbm`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LabelFigures {
+    /// Maps that tell errors.
+    pub maps: u64,
+    /// Least and most repeats.
+    pub repeats: [u32; 2],
+    /// Their outdoor cells.
+    pub outdoor_cells: u64,
+    /// Cells that are holes with a chance of at least 95 %.
+    pub sure_holes: u64,
+    /// Cells that are holes with a chance of more than 5 % and less than 95 %.
+    pub unsure: u64,
+    /// Mean chance of a cell to be a hole.
+    pub expected_hole_share: Option<Interval>,
+    /// The label ceiling; empty if no map tells what half of its repeats gave.
+    pub ceiling: Vec<CeilingScore>,
+}
+
 /// The report of an evaluation.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -249,8 +320,12 @@ pub struct Report {
     pub oracle_share: Vec<OracleShare>,
     /// Each pair of methods once.
     pub differences: Vec<Difference>,
-    /// By share of holes and by region.
+    /// By share of holes, density and height of buildings, and region.
     pub groups: Vec<Group>,
+    /// Holes by their distance to the nearest wall.
+    pub distances: Vec<DistanceFigures>,
+    /// How sure the holes are; `null` if that is unknown, since no map tells errors.
+    pub labels: Option<LabelFigures>,
     /// How hard the maps are.
     pub difficulty: Difficulty,
 }

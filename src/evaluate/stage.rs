@@ -8,6 +8,7 @@ use super::bootstrap::Bootstrap;
 use super::chart::svg_to_png;
 use super::gallery;
 use super::groups::overlapping_pairs;
+use super::labels::Labels;
 use super::map::{self, Flying, MapResult, MethodOnMap, Scene};
 use super::report::{DatasetUsed, MapsUsed, Report};
 use super::summary::Results;
@@ -108,7 +109,9 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
     let flying = Flying { sight: &sight, config, agent: job.agent.map(|(agent, _)| agent) };
     let scene = |id| -> Result<Scene, ReadError> {
         let (record, grids) = dataset.record_with_grids(id)?;
-        Ok(Scene::new(World::new(&record, &grids, &config.rl), &config.evaluate))
+        let world = World::new(&record, &grids, &config.rl);
+        let labels = Labels::new(&world, &record, &grids, &config.rl);
+        Ok(Scene::new(world, labels, &config.evaluate))
     };
     progress.begin("flying", Some(records.len() as u64));
     let maps = records.par_iter().map(|&(id, _)| {
@@ -144,17 +147,19 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
         })
         .collect::<Result<Vec<_>, ReadError>>()?;
     let charts = figures::of_report(&report).map(|(name, chart)| (name, chart.to_svg()));
-    for (name, svg) in &charts {
+    let distance = ("distance", figures::of_distances(&report).to_svg());
+    for (name, svg) in charts.iter().chain([&distance]) {
         output.write(&format!("{name}.svg"), svg.as_bytes())?;
         output.write(&format!("{name}.png"), &svg_to_png(svg, PNG_SCALE))?;
     }
-    let page = page::render(&report, &charts, &gallery);
+    let page = page::render(&report, &charts, &distance.1, &gallery);
     output.write("report.html", page.as_bytes())?;
     progress.end();
 
     output.write("report.json", &to_json(&report))?;
     output.write("scores.csv", &tables::scores(&report))?;
     output.write("maps.csv", &tables::maps(&ids, &maps, &config.evaluate))?;
+    output.write("distance.csv", &tables::distances(&report))?;
     output.write("NOTICE", notice(&report).as_bytes())?;
     output.complete(&to_json(&EvaluationManifest {
         schema: EvaluationManifest::SCHEMA.to_owned(),
@@ -221,6 +226,8 @@ fn summarise(ids: &[TileId], maps: &[MapResult], config: &Config) -> Report {
         oracle_share: results.oracle_share(&bootstrap),
         differences: results.differences(&bootstrap),
         groups: results.groups(),
+        distances: results.distances(&bootstrap),
+        labels: results.labels(&bootstrap),
         difficulty: results.difficulty(),
         ..Report::default()
     }
@@ -236,7 +243,7 @@ pub fn precision(
 ) -> Vec<(u32, f64)> {
     let sight = Sight::new(config.rl.reach_cells);
     let flying = Flying { sight: &sight, config, agent: Some(agent) };
-    let scene = |map: &World| Scene::new(map.clone(), &config.evaluate);
+    let scene = |map: &World| Scene::new(map.clone(), None, &config.evaluate);
     let results: Vec<MethodOnMap> =
         maps.par_iter().map(|map| scene(map).judged(Method::Agent, flying)).collect();
     let steps = config.evaluate.steps.iter().enumerate();

@@ -3,11 +3,13 @@
 use rayon::prelude::*;
 
 use super::bootstrap::Bootstrap;
-use super::groups::{Members, groups};
+use super::distance;
+use super::groups::{Members, Traits, groups};
 use super::map::{MapResult, MapScore, counts};
 use super::methods;
 use super::report::{
-    Difference, Difficulty, FlightFigures, Group, GroupScore, Interval, OracleShare, Score,
+    CeilingScore, Difference, Difficulty, DistanceFigures, FlightFigures, Group, GroupScore,
+    Interval, LabelFigures, OracleShare, Score,
 };
 use crate::config::{EvaluateConfig, Method};
 use crate::grid::TileId;
@@ -24,6 +26,7 @@ type Value = fn(&MapScore) -> Option<f64>;
 
 const PRECISION: Value = |score| score.precision;
 const RECALL: Value = |score| score.recall;
+const EXPECTED: Value = |score| score.expected;
 
 impl Results<'_> {
     /// A value of each map; methods that do not move have the same at every k.
@@ -58,7 +61,18 @@ impl Results<'_> {
                     let (precision, recall) = (mean(PRECISION), mean(RECALL));
                     let judged = self.values(at, k_at, count, PRECISION);
                     let maps = judged.iter().flatten().count() as u64;
-                    Score { method, k, starts, maps, precision, recall, recall_with_indoor }
+                    Score {
+                        method,
+                        k,
+                        starts,
+                        maps,
+                        precision,
+                        recall,
+                        recall_with_indoor,
+                        expected_precision: mean(EXPECTED),
+                        sure_holes: mean(|score| score.sure_holes),
+                        sure: mean(|score| score.sure),
+                    }
                 })
             })
             .collect()
@@ -119,18 +133,24 @@ impl Results<'_> {
                     k,
                     precision: difference(k_at, PRECISION),
                     recall: difference(k_at, RECALL),
+                    expected_precision: difference(k_at, EXPECTED),
                 })
             })
             .collect()
     }
 
-    /// Scores by share of holes and by region.
+    /// Scores by share of holes, density and height of buildings, and region.
     pub(super) fn groups(&self) -> Vec<Group> {
-        let shares: Vec<f64> = self.maps.iter().map(MapResult::hole_share).collect();
-        groups(self.ids, &shares).into_iter().map(|members| self.group(members, &shares)).collect()
+        let traits = |map: &MapResult| Traits {
+            hole_share: map.hole_share(),
+            built_share: map.built_share,
+            mean_height_m: map.mean_height_m,
+        };
+        let traits: Vec<Traits> = self.maps.iter().map(traits).collect();
+        groups(self.ids, &traits).into_iter().map(|members| self.group(members, &traits)).collect()
     }
 
-    fn group(&self, Members { kind, name, maps }: Members, shares: &[f64]) -> Group {
+    fn group(&self, Members { kind, name, maps }: Members, traits: &[Traits]) -> Group {
         let bootstrap = Bootstrap::new(maps.len(), self.config.bootstrap, self.config.seed);
         let scores = self.each_step(|at, method, k_at, k| {
             let mean = |value| {
@@ -139,8 +159,52 @@ impl Results<'_> {
             };
             GroupScore { method, k, precision: mean(PRECISION), recall: mean(RECALL) }
         });
-        let hole_share = maps.iter().map(|&map| shares[map]).sum::<f64>() / maps.len() as f64;
+        let shares = maps.iter().map(|&map| traits[map].hole_share);
+        let hole_share = shares.sum::<f64>() / maps.len() as f64;
         Group { kind, name, maps: maps.len() as u64, hole_share, scores }
+    }
+
+    /// How sure the holes are; `None` if no map tells.
+    pub(super) fn labels(&self, bootstrap: &Bootstrap) -> Option<LabelFigures> {
+        let told = || self.maps.iter().filter_map(|map| Some((map, map.labels.as_ref()?)));
+        let repeats = || told().map(|(_, labels)| labels.repeats);
+        let repeats = [repeats().min()?, repeats().max()?];
+        let expected: Vec<Option<f64>> =
+            self.maps.iter().map(|map| Some(map.labels.as_ref()?.expected_holes)).collect();
+        let outdoors: Vec<Option<f64>> = self
+            .maps
+            .iter()
+            .map(|map| map.labels.as_ref().map(|_| map.outdoor_cells as f64))
+            .collect();
+        let ceiling = |at: usize, expected: bool| {
+            let of_map = |map: &MapResult| {
+                let of = map.labels.as_ref()?.ceiling.as_ref()?[at];
+                Some(if expected { of.expected } else { of.precision })
+            };
+            bootstrap.mean(&self.maps.iter().map(of_map).collect::<Vec<_>>())
+        };
+        let has_ceiling = told().any(|(_, labels)| labels.ceiling.is_some());
+        let steps = self.config.steps.iter().enumerate().filter(|_| has_ceiling);
+        Some(LabelFigures {
+            maps: told().count() as u64,
+            repeats,
+            outdoor_cells: told().map(|(map, _)| map.outdoor_cells).sum(),
+            sure_holes: told().map(|(_, labels)| labels.sure_holes).sum(),
+            unsure: told().map(|(_, labels)| labels.unsure).sum(),
+            expected_hole_share: bootstrap.ratio(&expected, &outdoors),
+            ceiling: steps
+                .map(|(at, &k)| CeilingScore {
+                    k,
+                    precision: ceiling(at, false),
+                    expected_precision: ceiling(at, true),
+                })
+                .collect(),
+        })
+    }
+
+    /// Holes by their distance to the nearest wall.
+    pub(super) fn distances(&self, bootstrap: &Bootstrap) -> Vec<DistanceFigures> {
+        distance::figures(self.maps, bootstrap)
     }
 
     /// Something for each method and each of its k, in parallel.

@@ -105,7 +105,17 @@ pub fn to_json(value: &impl Serialize) -> Vec<u8> {
 /// The JSON Schema (draft 2020-12) of a type, as `schemas/` holds it.
 #[must_use]
 pub fn json_schema<T: JsonSchema>() -> Vec<u8> {
-    to_json(&SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>())
+    json_schema_with::<T>(|_| ())
+}
+
+/// As [`json_schema`], of a type whose schema is told more exactly than its declaration can.
+pub(crate) fn json_schema_with<T: JsonSchema>(
+    change: impl FnOnce(&mut serde_json::Map<String, serde_json::Value>),
+) -> Vec<u8> {
+    let generator = SchemaSettings::draft2020_12().into_generator();
+    let mut schema = generator.into_root_schema_for::<T>();
+    change(schema.ensure_object());
+    to_json(&schema)
 }
 
 /// The schema of a directory's manifest, if it has one.

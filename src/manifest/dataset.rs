@@ -70,6 +70,32 @@ pub struct RsrpHistogram {
     pub counts: Vec<u64>,
 }
 
+/// Counts of decibels.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ShiftHistogram {
+    /// Width of a bin, in dB; the first begins at 0.
+    pub step_db: f64,
+    /// Cells in each bin; those beyond the last one are counted there too.
+    pub counts: Vec<u64>,
+}
+
+/// How sure coverage holes are, of records whose levels have errors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Reliability {
+    /// Records with errors.
+    pub records: u64,
+    /// Outdoor cells of these records.
+    pub outdoor: u64,
+    /// Of these, cells that lie below the threshold with a chance of at least 95 %.
+    pub sure_holes: u64,
+    /// Cells with a chance of more than 5 % and less than 95 %.
+    pub unsure: u64,
+    /// By how many dB the nearest threshold at which they would be sure differs, of the unsure cells.
+    pub threshold_shift: ShiftHistogram,
+}
+
 /// Figures of a split.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -87,6 +113,10 @@ pub struct SplitStatistics {
     pub rsrp: RsrpHistogram,
     /// Built-up cells of the height grids (before downsampling) by source of height.
     pub built_cells: BuiltBySource,
+    /// How sure the holes are at [`SplitStatistics::hole_threshold_dbm`]; absent where no record has
+    /// errors.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reliability: Option<Reliability>,
 }
 
 /// What did not become a record, and why.

@@ -81,6 +81,17 @@ impl TileFile {
     }
 }
 
+/// What repeats tell of the levels in a grid, `[n, n]`, row 0 north, column 0 west.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ErrorGrids {
+    /// Standard error of each level in dB: 10 / ln 10 times the standard error of the mean power over
+    /// that mean, 0 to 4.343; 0 where there is no level.
+    pub std_error_db: Array2<f32>,
+    /// Share of the summed power that the first half of the repeats received, 0 to 1: the mean of that
+    /// half is 2 · share · mean, the other one's 2 · (1 − share) · mean. 0 where there is no level.
+    pub first_half_share: Option<Array2<f32>>,
+}
+
 /// The arrays of an imported map, `[n, n]`, row 0 north, column 0 west.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RsrpFile {
@@ -88,6 +99,8 @@ pub struct RsrpFile {
     pub rsrp_dbm: Array2<f32>,
     /// 0 outdoor reached, 1 building, 2 outdoor unreached.
     pub mask: Array2<u8>,
+    /// What repeats tell, where there are several.
+    pub errors: Option<ErrorGrids>,
     /// What the file says of itself.
     pub meta: RsrpMeta,
 }
@@ -99,10 +112,13 @@ impl RsrpFile {
     /// [`StageFileError`] names the file and what differs.
     pub fn read(directory: &Path, entry: &MapEntry) -> Result<Self, StageFileError> {
         let mut arrays = Arrays::open(directory.join(&entry.file), &entry.digest)?;
+        let meta: RsrpMeta = arrays.meta()?;
+        let errors = meta.repeats.map(|_| arrays.errors()).transpose()?;
         Ok(Self {
             rsrp_dbm: arrays.matrix("rsrp_dbm")?,
             mask: arrays.matrix("mask")?,
-            meta: arrays.meta()?,
+            errors,
+            meta,
         })
     }
 }
@@ -165,6 +181,15 @@ impl Arrays {
         let bytes = self.member(name)?;
         let matrix: Result<_, NpyError> = read_npy(&bytes).and_then(|npy| npy.to_array2());
         matrix.map_err(|error| invalid(&self.path, &error))
+    }
+
+    fn errors(&mut self) -> Result<ErrorGrids, StageFileError> {
+        const HALF: &str = "first_half_share";
+        let has_half = self.archive.names().iter().any(|name| name == HALF);
+        Ok(ErrorGrids {
+            std_error_db: self.matrix("std_error_db")?,
+            first_half_share: has_half.then(|| self.matrix(HALF)).transpose()?,
+        })
     }
 
     fn meta<T: DeserializeOwned>(&mut self) -> Result<T, StageFileError> {

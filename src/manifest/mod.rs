@@ -14,22 +14,23 @@ mod scenes;
 mod tiles;
 
 pub use built::{Built, already_built};
+pub(crate) use common::json_schema_with;
 pub use common::{
     Input, ManifestError, Software, fingerprint, json_schema, load, parse, schema, to_json,
 };
 pub use dataset::{
-    DatasetConfig, DatasetManifest, Dropped, IndexEntry, Release, RsrpHistogram, ShardEntry,
-    SplitStatistics,
+    DatasetConfig, DatasetManifest, Dropped, IndexEntry, Release, Reliability, RsrpHistogram,
+    ShardEntry, ShiftHistogram, SplitStatistics,
 };
 pub use evaluation::EvaluationManifest;
 pub use files::{
-    RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,
+    ErrorGrids, RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,
 };
 pub use policy::PolicyManifest;
 pub use rsrp::{
-    BaseStation, Evidence, ImportInputs, MapEntry, MapFile, MapQuality, MapWarning, MaskCounts,
-    OrientationScore, Radio, RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap, ValueKind,
-    WarningCode,
+    BaseStation, Evidence, ImportInputs, MapEntry, MapFile, MapQuality, MapReliability, MapWarning,
+    MaskCounts, OrientationScore, Radio, RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap,
+    ValueKind, WarningCode,
 };
 pub use scenes::{
     LeftOutSolids, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation, ScenesConfig,

@@ -132,6 +132,11 @@ pub struct RsrpMeta {
     pub base_station: BaseStation,
     /// How the map was computed.
     pub radio: Radio,
+    /// Repeats that the levels are the mean of, where there are several: then there is `std_error_db`,
+    /// and `radio.samples_per_tx` counts the rays of one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 2))]
+    pub repeats: Option<u32>,
     /// Where it comes from.
     pub source: SourceMap,
     /// SHA-256 of the tile whose buildings make up the mask.
@@ -213,6 +218,8 @@ pub enum WarningCode {
     FewRays,
     /// Many outdoor cells are without path.
     ManyUnreached,
+    /// Nothing says that repeats are independent.
+    DependentRepeats,
 }
 
 impl WarningCode {
@@ -226,6 +233,7 @@ impl WarningCode {
             Self::WeakLevels => "weak_levels",
             Self::FewRays => "few_rays",
             Self::ManyUnreached => "many_unreached",
+            Self::DependentRepeats => "dependent_repeats",
         }
     }
 }
@@ -248,6 +256,19 @@ impl MapWarning {
     }
 }
 
+/// How far the repeats of a map agree.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MapReliability {
+    /// Independent repeats.
+    pub repeats: u32,
+    /// Median of the standard errors of reached outdoor cells, in dB.
+    pub median_std_error_db: f64,
+    /// Share of outdoor cells that are holes at -100 dBm with a chance of more than 5 % and less
+    /// than 95 %.
+    pub unsure: f64,
+}
+
 /// What the checks of a map found, beyond passing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -259,8 +280,11 @@ pub struct MapQuality {
     pub orientation: OrientationScore,
     /// Share of outdoor cells that no path reaches.
     pub unreached: f64,
-    /// Expected line-of-sight rays in a cell of a record at the window's corner.
+    /// Expected line-of-sight rays in a cell of a record at the window's corner, of all repeats.
     pub expected_rays: f64,
+    /// How far repeats agree; absent where there are not several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reliability: Option<MapReliability>,
 }
 
 /// A map that was imported.
@@ -319,7 +343,7 @@ pub struct SolverCount {
     pub solver: Solver,
     /// How many maps.
     pub maps: u64,
-    /// Least and most rays for a transmitter.
+    /// Least and most rays for a transmitter, of one repeat.
     pub samples_per_tx: [u64; 2],
 }
 

@@ -4,8 +4,10 @@ use ndarray::Array2;
 
 use super::convert::to_rsrp;
 use super::metadata::RadioMapMetadata;
+use super::repeats::Relative;
 use super::window::{Surroundings, Window};
-use crate::manifest::{MaskCounts, ValueKind};
+use crate::manifest::{ErrorGrids, MaskCounts, ValueKind};
+use crate::reliability::std_error_db;
 use crate::units::Dbm;
 
 /// An outdoor cell that some path reaches.
@@ -23,6 +25,8 @@ pub struct AlignedMap {
     pub rsrp_dbm: Array2<f32>,
     /// [`MASK_REACHED`], [`MASK_BUILDING`] or [`MASK_UNREACHED`].
     pub mask: Array2<u8>,
+    /// What repeats tell, where there are several; 0 where the mask is not 0.
+    pub errors: Option<ErrorGrids>,
     /// Cells by the mask's value.
     pub counts: MaskCounts,
 }
@@ -32,6 +36,7 @@ pub struct AlignedMap {
 /// only if all of it is.
 pub(super) fn align(
     window: &Window,
+    repeats: Option<&Array2<Relative>>,
     kind: ValueKind,
     metadata: &RadioMapMetadata,
     surroundings: &Surroundings,
@@ -53,5 +58,20 @@ pub(super) fn align(
             counts.unreached += 1;
         }
     }
-    AlignedMap { rsrp_dbm, mask, counts }
+    let errors = repeats.map(|repeats| errors(repeats, &mask));
+    AlignedMap { rsrp_dbm, mask, errors, counts }
+}
+
+fn errors(repeats: &Array2<Relative>, mask: &Array2<u8>) -> ErrorGrids {
+    let of_reached = |value: &dyn Fn(&Relative) -> f64| {
+        Array2::from_shape_fn(mask.raw_dim(), |at| match mask[at] {
+            MASK_REACHED => value(&repeats[at]) as f32,
+            _ => 0.0,
+        })
+    };
+    let has_half = repeats.iter().any(|cell| cell.first_half.is_some());
+    ErrorGrids {
+        std_error_db: of_reached(&|cell| std_error_db(cell.std_error)),
+        first_half_share: has_half.then(|| of_reached(&|cell| cell.first_half.unwrap_or(0.0))),
+    }
 }

@@ -257,7 +257,7 @@ pub(super) fn transmitter(
 }
 
 /// Expected line-of-sight rays in a cell at the corner of the window:
-/// λ = N·A·h / (4π·(r² + h²)^1.5) for N rays that leave the transmitter evenly, a cell of area A,
+/// λ = N·A·h / (4π·(r² + h²)^1.5) for N rays, of all repeats, that leave the transmitter evenly, a cell of area A,
 /// a transmitter h above the receivers, and the corner's distance r from the window's centre.
 pub(super) fn expected_rays(
     metadata: &RadioMapMetadata,
@@ -269,7 +269,7 @@ pub(super) fn expected_rays(
     let distance = crop_m / 2.0 * std::f64::consts::SQRT_2;
     let squared = distance * distance + height * height;
     let sphere = 4.0 * std::f64::consts::PI * squared * libm::sqrt(squared);
-    metadata.samples_per_tx as f64 * record_cell_m * record_cell_m * height / sphere
+    metadata.all_samples() * record_cell_m * record_cell_m * height / sphere
 }
 
 /// Are there enough rays for cells of this size? A share of e^−λ of the cells that a path could

@@ -13,7 +13,8 @@ use super::load::{Described, load_values};
 use super::metadata::{Object, RadioMapMetadata};
 use super::orientation::Placement;
 use super::rejection::{Rejection, RejectionCode};
-use super::window::{Surroundings, Window};
+use super::repeats::{Repeats, reliability};
+use super::window::{Surroundings, Window, cut_repeats};
 use crate::building::HeightSource;
 use crate::config::{GridConfig, RsrpConfig};
 use crate::grid::TileId;
@@ -138,6 +139,9 @@ pub(super) fn examine(
             .flatten();
         other.unwrap_or(rejection)
     })?;
+    if let Some(repeats) = &map.repeats {
+        repeats.check(&map, metadata)?;
+    }
     let mut warnings = Vec::new();
     // The place comes before the levels: a map that is turned has its strong cells elsewhere.
     let level = |value: f64| to_rsrp(value, map.kind, metadata).0;
@@ -153,9 +157,12 @@ pub(super) fn examine(
         check::expected_rays(metadata, position, context.record_cell_m, f64::from(grid.crop_m));
     warnings.extend(check::sampling(rays, rsrp)?);
 
-    let aligned = align(&window, map.kind, metadata, &surroundings, rsrp.floor_dbm);
+    let repeats = cut_repeats(&map, metadata, &geometry);
+    let repeats = repeats.as_ref();
+    let aligned = align(&window, repeats, map.kind, metadata, &surroundings, rsrp.floor_dbm);
     let unreached = check::unreached(&aligned.counts)?;
     warnings.extend(check::few_reached(unreached));
+    warnings.extend(Repeats::warning(metadata));
     if let Some(warning) = warnings.first().filter(|_| rsrp.strict) {
         return Err(strict(warning).into());
     }
@@ -165,6 +172,7 @@ pub(super) fn examine(
         orientation: placed.score,
         unreached: rounded(unreached, 4),
         expected_rays: rounded(rays, 3),
+        reliability: reliability(&aligned, metadata.several_repeats()),
     };
     Ok(Examined { meta, map: aligned, quality, warnings })
 }
@@ -209,6 +217,7 @@ fn meta(
             refraction: metadata.refraction,
             diffraction: metadata.diffraction,
         },
+        repeats: metadata.several_repeats(),
         source: SourceMap {
             file: source.name.to_owned(),
             digest: source.digest.clone(),

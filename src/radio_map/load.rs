@@ -9,9 +9,10 @@ use super::array::{Layout, positions};
 use super::complete::{ArrayFacts, Supplement};
 use super::metadata::{RadioMapMetadata, parse_object};
 use super::rejection::{Rejection, RejectionCode};
+use super::repeats::{self, Repeats};
 use crate::error::FileError;
 use crate::manifest::ValueKind;
-use crate::store::{DType, MAX_METADATA, NpyError, NpzError, NpzReader, read_npy};
+use crate::store::{DType, MAX_METADATA, Npy, NpyError, NpzError, NpzReader, read_npy};
 
 /// Array names that tell the kind of values.
 const TELLING_NAMES: [(&str, ValueKind); 9] = [
@@ -43,6 +44,15 @@ pub struct LoadedMap {
     pub dtype: DType,
     /// East, north and up of the map's transmitter from the centre on the ground, in metres.
     pub tx_position_m: [f64; 3],
+    /// What lies beside the values, where they are means of several repeats.
+    pub repeats: Option<Repeats>,
+}
+
+/// A map, and where it lies in its array.
+pub(super) struct Placed {
+    map: LoadedMap,
+    shape: Vec<usize>,
+    index: usize,
 }
 
 /// Metadata of a map, and which of them its producer did not write.
@@ -92,7 +102,10 @@ pub fn load_values(
             let mut archive = NpzReader::open(path, limit).map_err(|error| of_npz(&error))?;
             archive_values(&mut archive, metadata, tx)
         }
-        "npy" => map_of(&read_limited(path, limit)?, None, metadata, tx),
+        "npy" => {
+            repeats::none_in_npy(metadata)?;
+            Ok(map_of(&read_limited(path, limit)?, None, metadata, tx)?.map)
+        }
         _ => Err(unsupported(path)),
     }
 }
@@ -153,7 +166,42 @@ fn archive_values<R: Read + Seek>(
 ) -> Result<LoadedMap, Rejection> {
     let name = value_array(&archive.names())?;
     let bytes = archive.member(&name).map_err(|error| of_npz(&error))?;
-    map_of(&bytes, Some(&name), metadata, tx)
+    let placed = map_of(&bytes, Some(&name), metadata, tx)?;
+    let repeats = repeats::beside(archive, &name, &placed, metadata)?;
+    Ok(LoadedMap { repeats, ..placed.map })
+}
+
+/// The part of an array beside the values `name` that belongs to their map.
+pub(super) fn member_matrix<R: Read + Seek>(
+    archive: &mut NpzReader<R>,
+    array: &str,
+    name: &str,
+    placed: &Placed,
+) -> Result<Array2<f64>, Rejection> {
+    let bytes = archive.member(array).map_err(|error| of_npz(&error))?;
+    let npy = float_array(&bytes)?;
+    check_type(npy.dtype, placed.map.kind, array)?;
+    if npy.shape != placed.shape {
+        return Err(Rejection::new(
+            RejectionCode::ErrorShape,
+            format!("{array} of shape {:?}, as {name} has", placed.shape),
+            format!("{:?}", npy.shape),
+            "save it with the shape of the values",
+        ));
+    }
+    Ok(Layout::of(&npy.shape)?.matrix(&npy, placed.index))
+}
+
+/// An array; no map of a solver has integers.
+fn float_array(bytes: &[u8]) -> Result<Npy<'_>, Rejection> {
+    let npy = read_npy(bytes).map_err(|error| of_npy(&error))?;
+    let kind = match npy.dtype {
+        DType::Int16 => "i2",
+        DType::UInt16 => "u2",
+        _ => return Ok(npy),
+    };
+    let order = if npy.big_endian { '>' } else { '<' };
+    Err(of_npy(&NpyError::DType(format!("'{order}{kind}'"))))
 }
 
 /// The map in an `.npy` file; `name` is that of the array in an archive.
@@ -162,15 +210,17 @@ fn map_of(
     name: Option<&str>,
     metadata: &RadioMapMetadata,
     tx: Option<usize>,
-) -> Result<LoadedMap, Rejection> {
-    let npy = read_npy(bytes).map_err(|error| of_npy(&error))?;
+) -> Result<Placed, Rejection> {
+    let npy = float_array(bytes)?;
     let kind = value_kind(name, metadata.value_kind)?;
-    check_type(npy.dtype, kind)?;
+    check_type(npy.dtype, kind, kind.name())?;
     let layout = Layout::of(&npy.shape)?;
     let positions = metadata.tx_position_m.all();
     let index = layout.choose(positions.len(), tx)?;
     let values = layout.matrix(&npy, index);
-    Ok(LoadedMap { values, kind, dtype: npy.dtype, tx_position_m: positions[index] })
+    let (dtype, tx_position_m) = (npy.dtype, positions[index]);
+    let map = LoadedMap { values, kind, dtype, tx_position_m, repeats: None };
+    Ok(Placed { map, shape: npy.shape, index })
 }
 
 fn archive_metadata<R: Read + Seek>(archive: &mut NpzReader<R>) -> Result<Vec<u8>, Rejection> {
@@ -334,7 +384,7 @@ fn value_array(names: &[String]) -> Result<String, Rejection> {
 }
 
 /// The first of some names, that a message stays short.
-fn some(names: &[impl AsRef<str>]) -> String {
+pub(super) fn some(names: &[impl AsRef<str>]) -> String {
     const FEW: usize = 8;
     let few: Vec<&str> = names.iter().take(FEW).map(AsRef::as_ref).collect();
     let more =
@@ -361,9 +411,10 @@ fn value_kind(name: Option<&str>, declared: Option<ValueKind>) -> Result<ValueKi
     }
 }
 
-fn check_type(dtype: DType, kind: ValueKind) -> Result<(), Rejection> {
+/// Whether elements of a type can be `what`: values of a kind, or their errors.
+fn check_type(dtype: DType, kind: ValueKind, what: &str) -> Result<(), Rejection> {
     let reject = |expected: &str, mend: &str| {
-        let found = format!("{} of {}", kind.name(), dtype.name());
+        let found = format!("{what} of {}", dtype.name());
         Err(Rejection::new(RejectionCode::UnsupportedType, expected, found, mend))
     };
     match dtype {

@@ -175,7 +175,7 @@ pub struct RadioMapMetadata {
     pub tx_pattern: String,
     /// The solver and its version.
     pub sionna_version: String,
-    /// Rays for each transmitter.
+    /// Rays for each transmitter; of one repeat, where there are several.
     #[serde(deserialize_with = "whole")]
     pub samples_per_tx: u64,
     /// Most interactions of a path.
@@ -191,9 +191,35 @@ pub struct RadioMapMetadata {
     /// Seed of the solver.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
+    /// Independent repeats that the values are the mean of, in linear power and with zeros; absent
+    /// for a single trace, of which no error is known. From two on the archive also holds the array
+    /// `<values>_std_error`, and may hold `<values>_first_half` (`docs/LABELS.md`).
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "whole_if_given")]
+    #[schemars(range(min = 1))]
+    pub repeats: Option<u32>,
+    /// What makes repeats independent; absent where the producer does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub direction_shift: Option<DirectionShift>,
     /// SHA-256 of the extract that the scene was made from.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub osm_sha256: Option<String>,
+}
+
+/// How the directions of rays differ from repeat to repeat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DirectionShift {
+    /// By a shift, or a draw, that is random and another one for each repeat.
+    Random,
+}
+
+/// As [`whole`], of a key that may be missing.
+fn whole_if_given<'de, D: serde::Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<u32>, D::Error> {
+    #[derive(Deserialize)]
+    struct Whole(#[serde(deserialize_with = "whole")] u32);
+    Ok(Option::<Whole>::deserialize(deserializer)?.map(|Whole(number)| number))
 }
 
 /// A whole number, also if it is written as `3e7` or `5.0`, as Python does.
@@ -292,6 +318,18 @@ impl RadioMapMetadata {
         Ok(metadata)
     }
 
+    /// Repeats, if there are several: levels then have an error.
+    #[must_use]
+    pub fn several_repeats(&self) -> Option<u32> {
+        self.repeats.filter(|&repeats| repeats > 1)
+    }
+
+    /// Rays of all repeats for each transmitter.
+    #[must_use]
+    pub fn all_samples(&self) -> f64 {
+        self.samples_per_tx as f64 * f64::from(self.repeats.unwrap_or(1))
+    }
+
     fn check(&self) -> Result<(), Rejection> {
         let demand = |holds: bool, key: &str, expected: &str, found: String| {
             let found = format!("{key} = {found}");
@@ -324,6 +362,8 @@ impl RadioMapMetadata {
         )?;
         let samples = self.samples_per_tx;
         demand(samples > 0, "samples_per_tx", "at least one ray", samples.to_string())?;
+        let repeats = self.repeats.unwrap_or(1);
+        demand(repeats > 0, "repeats", "at least one repeat", repeats.to_string())?;
         let positions = self.tx_position_m.all();
         let near = |[x, y, z]: &[f64; 3]| {
             let plausible = [x, y].iter().all(|distance| distance.abs() <= 1e7);

@@ -17,6 +17,7 @@ mod load;
 mod metadata;
 mod orientation;
 mod rejection;
+mod repeats;
 mod report;
 mod stage;
 mod window;
@@ -26,7 +27,9 @@ pub use complete::Supplement;
 pub use convert::to_rsrp;
 pub use load::{Described, LoadedMap, load_archive, load_metadata, load_values};
 pub use metadata::{
-    Marker, NoPathValue, Object, PowerReference, RadioMapMetadata, RowOrder, TxPosition,
+    DirectionShift, Marker, NoPathValue, Object, PowerReference, RadioMapMetadata, RowOrder,
+    TxPosition,
 };
 pub use rejection::{Rejection, RejectionCode};
+pub use repeats::Repeats;
 pub use stage::{ImportError, ImportJob, import_maps};

@@ -83,6 +83,16 @@ pub enum RejectionCode {
     UnknownLocation,
     /// The tile exists but was too empty to be kept.
     TileDropped,
+    /// Several repeats, but no standard error.
+    ErrorMissing,
+    /// A standard error, but not of several repeats.
+    ErrorWithoutRepeats,
+    /// A standard error, or a half of the repeats, of another shape than the values.
+    ErrorShape,
+    /// A standard error that the mean of repeats cannot have.
+    ErrorOutOfRange,
+    /// A half of the repeats that cannot be one of them.
+    HalfOutOfRange,
     /// Several files are maps of one tile.
     DuplicateLocation,
 }

@@ -9,8 +9,8 @@ use super::align::AlignedMap;
 use super::examine::Context;
 use super::rejection::Rejection;
 use crate::manifest::{
-    ImportInputs, MapEntry, MapQuality, Radio, RsrpManifest, RsrpMeta, Software, Solver,
-    SolverCount, to_json,
+    ErrorGrids, ImportInputs, MapEntry, MapQuality, Radio, RsrpManifest, RsrpMeta, Software,
+    Solver, SolverCount, to_json,
 };
 use crate::store::{Digest, npy_bytes, npz_bytes};
 
@@ -24,12 +24,24 @@ pub(super) enum Outcome {
     Rejected { file: String, location: String, rejection: Rejection },
 }
 
+impl Outcome {
+    /// The map, if it was taken.
+    fn imported(&self) -> Option<(&MapEntry, &Radio)> {
+        match self {
+            Self::Imported { entry, radio } => Some((entry, radio)),
+            Self::Rejected { .. } => None,
+        }
+    }
+}
+
 pub(super) fn rsrp_npz(meta: &RsrpMeta, map: &AlignedMap) -> Vec<u8> {
-    let members = [
-        ("rsrp_dbm", npy_bytes(&map.rsrp_dbm)),
-        ("mask", npy_bytes(&map.mask)),
-        ("meta_json", npy_bytes(&Array1::from_vec(to_json(meta)))),
-    ];
+    let mut members = vec![("rsrp_dbm", npy_bytes(&map.rsrp_dbm)), ("mask", npy_bytes(&map.mask))];
+    if let Some(ErrorGrids { std_error_db, first_half_share }) = &map.errors {
+        members.push(("std_error_db", npy_bytes(std_error_db)));
+        let half = first_half_share.as_ref();
+        members.extend(half.map(|share| ("first_half_share", npy_bytes(share))));
+    }
+    members.push(("meta_json", npy_bytes(&Array1::from_vec(to_json(meta)))));
     npz_bytes(&members, DEFLATE_LEVEL)
 }
 
@@ -56,35 +68,45 @@ pub(super) fn imported_csv(outcomes: &[Outcome]) -> Vec<u8> {
         "assumed",
         "warnings",
     ];
-    csv.write_record(header).expect("writing to memory cannot fail");
+    // Of maps without repeats nothing more is told than ever.
+    let entries = || outcomes.iter().filter_map(Outcome::imported);
+    let has_errors = entries().any(|(entry, _)| entry.quality.reliability.is_some());
+    let of_repeats: &[&str] =
+        if has_errors { &["repeats", "median_std_error_db", "unsure"] } else { &[] };
+    csv.write_record(header.iter().chain(of_repeats)).expect("writing to memory cannot fail");
     let optional = |value: Option<f64>| value.map_or(String::new(), |value| value.to_string());
-    for outcome in outcomes {
-        if let Outcome::Imported { entry, radio } = outcome {
-            let MapQuality { excess_db, orientation, unreached, expected_rays } = entry.quality;
-            let warnings: Vec<_> =
-                entry.warnings.iter().map(|warning| warning.code.name()).collect();
-            let row = [
-                entry.source.file.clone(),
-                entry.id.to_string(),
-                entry.source.value_kind.name().to_owned(),
-                optional(excess_db),
-                orientation.evidence.name().to_owned(),
-                orientation.correlation.to_string(),
-                optional(orientation.agreement),
-                orientation.lead.to_string(),
-                unreached.to_string(),
-                expected_rays.to_string(),
-                radio.samples_per_tx.to_string(),
-                radio.sionna_version.clone(),
-                radio.max_depth.to_string(),
-                radio.refraction.to_string(),
-                radio.diffraction.to_string(),
-                radio.frequency_hz.to_string(),
-                entry.assumed.join(" "),
-                warnings.join(" "),
-            ];
-            csv.write_record(row).expect("writing to memory cannot fail");
-        }
+    for (entry, radio) in entries() {
+        let MapQuality { excess_db, orientation, unreached, expected_rays, reliability } =
+            entry.quality;
+        let warnings: Vec<_> = entry.warnings.iter().map(|warning| warning.code.name()).collect();
+        let row = [
+            entry.source.file.clone(),
+            entry.id.to_string(),
+            entry.source.value_kind.name().to_owned(),
+            optional(excess_db),
+            orientation.evidence.name().to_owned(),
+            orientation.correlation.to_string(),
+            optional(orientation.agreement),
+            orientation.lead.to_string(),
+            unreached.to_string(),
+            expected_rays.to_string(),
+            radio.samples_per_tx.to_string(),
+            radio.sionna_version.clone(),
+            radio.max_depth.to_string(),
+            radio.refraction.to_string(),
+            radio.diffraction.to_string(),
+            radio.frequency_hz.to_string(),
+            entry.assumed.join(" "),
+            warnings.join(" "),
+        ];
+        let of_repeats = reliability.map_or_else(
+            || [const { String::new() }; 3],
+            |of| {
+                [of.repeats.to_string(), of.median_std_error_db.to_string(), of.unsure.to_string()]
+            },
+        );
+        let of_repeats = if has_errors { &of_repeats[..] } else { &[] };
+        csv.write_record(row.iter().chain(of_repeats)).expect("writing to memory cannot fail");
     }
     csv.into_inner().expect("writing to memory cannot fail")
 }

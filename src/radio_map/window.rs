@@ -1,10 +1,11 @@
 //! The central window of a map, north up, and what stands on it.
 
-use ndarray::{Array2, s};
+use ndarray::{Array2, ArrayView2, Axis, s};
 
 use super::check::{Geometry, no_path};
 use super::load::LoadedMap;
 use super::metadata::{RadioMapMetadata, RowOrder};
+use super::repeats::Relative;
 
 /// The window as the map has it: `[n, n]`, row 0 north, column 0 west.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,17 +19,33 @@ pub(super) struct Window {
 impl Window {
     /// Turns north up and cuts the window out.
     pub(super) fn cut(map: &LoadedMap, metadata: &RadioMapMetadata, geometry: &Geometry) -> Self {
-        let Geometry { offset, cells, .. } = *geometry;
-        let range = offset..offset + cells;
-        let mut values = map.values.view();
-        if metadata.row_order == RowOrder::SouthFirst {
-            values.invert_axis(ndarray::Axis(0));
-        }
-        let values = values.slice(s![range.clone(), range]).to_owned();
+        let values = cut(map.values.view(), metadata.row_order, geometry);
         let is_no_path = no_path(metadata, map.dtype);
         let reached = values.mapv(|value| !is_no_path(value));
         Self { values, reached }
     }
+}
+
+/// What repeats tell of the same window, where there are several.
+pub(super) fn cut_repeats(
+    map: &LoadedMap,
+    metadata: &RadioMapMetadata,
+    geometry: &Geometry,
+) -> Option<Array2<Relative>> {
+    let relative = map.repeats.as_ref()?.relative(map, metadata);
+    Some(cut(relative.view(), metadata.row_order, geometry))
+}
+
+fn cut<T: Clone>(
+    mut map: ArrayView2<'_, T>,
+    row_order: RowOrder,
+    geometry: &Geometry,
+) -> Array2<T> {
+    let range = geometry.offset..geometry.offset + geometry.cells;
+    if row_order == RowOrder::SouthFirst {
+        map.invert_axis(Axis(0));
+    }
+    map.slice(s![range.clone(), range]).to_owned()
 }
 
 /// What the height grid has on a map's cells, `[n, n]`, row 0 north, column 0 west. Cells that

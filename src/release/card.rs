@@ -7,7 +7,7 @@ use super::charts::FOLDER;
 use super::rebuild::{AREA, CONFIG, INPUTS, SCENES, commands};
 use super::scan::Scan;
 use crate::config::Split;
-use crate::dataset::{card, croissant};
+use crate::dataset::{card, croissant, reliability_of};
 use crate::grid::TileId;
 use crate::manifest::{BuiltBySource, DatasetManifest, Release};
 
@@ -114,9 +114,14 @@ fn pictures(shown: &[(TileId, Split)]) -> String {
 }
 
 fn records(manifest: &DatasetManifest) -> String {
+    let schemas = if reliability_of(manifest).is_some() {
+        "`record.v1.json` and `record.v2.json` are these schemas"
+    } else {
+        "`record.v1.json` is that schema"
+    };
     format!(
         "{}\n\
-         `record.v1.json` is that schema. `records.csv` has a line for each record, `manifest.json` \
+         {schemas}. `records.csv` has a line for each record, `manifest.json` \
          its shard and frame, `croissant.json` all this for machines (Croissant 1.1, GeoCroissant \
          1.0).\n",
         card::records_in_words(manifest)

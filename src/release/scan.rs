@@ -23,7 +23,7 @@ pub(super) struct Scan {
 }
 
 struct Scanned {
-    row: [String; crate::dataset::COLUMNS.len()],
+    row: Vec<String>,
     split: Split,
     hole_share: f64,
     radio: String,
@@ -48,7 +48,8 @@ pub(super) fn scan(dataset: &Dataset, progress: &dyn Progress) -> Result<Scan, R
         let [lowest, highest] = scan.power_dbm;
         scan.power_dbm = [lowest.min(one.power_dbm), highest.max(one.power_dbm)];
     }
-    scan.table = table_csv(scanned.into_iter().map(|one| one.row));
+    let rows = scanned.into_iter().map(|one| one.row);
+    scan.table = table_csv(dataset.manifest(), rows);
     Ok(scan)
 }
 

@@ -10,17 +10,14 @@ use super::diff::{DiffError, compare, sums};
 use super::scan::scan;
 use super::version::{is_enough, least};
 use super::{card, charts, rebuild};
-use crate::dataset::{Dataset, ReadError, Record, croissant};
+use crate::dataset::{Dataset, ReadError, Record, croissant, record_schemas, reliability_of};
 use crate::error::{Fault, FileError, HasFault};
-use crate::manifest::{
-    DatasetManifest, Release, ShardEntry, Software, fingerprint, json_schema, to_json,
-};
+use crate::manifest::{DatasetManifest, Release, ShardEntry, Software, fingerprint, to_json};
 use crate::progress::Progress;
 use crate::store::{Digest, MANIFEST, OutputDir, OutputError, SUMS, sha256_bytes};
 
 /// Zenodo takes no more files in a record.
 const MOST_FILES: usize = 100;
-const SCHEMA: &str = "record.v1.json";
 const NOTICE: &str = "NOTICE";
 const README: &str = "README.md";
 
@@ -195,7 +192,9 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
     let table = output.write(croissant::TABLE, &scan.table)?;
     let description = croissant::croissant(&manifest, &sha256_bytes(&bytes), Some(&table));
     output.write(croissant::FILE, &description)?;
-    output.write(SCHEMA, &json_schema::<Record>())?;
+    for (name, schema) in schemas(&manifest) {
+        output.write(&name, &schema)?;
+    }
     for (name, text) in rebuild::files(&manifest) {
         output.write(name, &text)?;
     }
@@ -260,10 +259,19 @@ fn check_shards(manifest: &DatasetManifest, root: &Path) -> Result<(), ReleaseEr
 }
 
 /// Names of a release's files besides shards, pictures and the list of checksums.
-fn texts(manifest: &DatasetManifest) -> Vec<&'static str> {
-    let of_all = [MANIFEST, croissant::FILE, croissant::TABLE, SCHEMA, NOTICE, README];
+fn texts(manifest: &DatasetManifest) -> Vec<String> {
+    let of_all = [MANIFEST, croissant::FILE, croissant::TABLE, NOTICE, README];
     let to_rebuild = rebuild::files(manifest).into_iter().map(|(name, _)| name);
-    of_all.into_iter().chain(to_rebuild).collect()
+    let texts = of_all.into_iter().chain(to_rebuild).map(str::to_owned);
+    texts.chain(schemas(manifest).into_iter().map(|(name, _)| name)).collect()
+}
+
+/// Schemas of the records, by file name: that of records with errors where there are any.
+fn schemas(manifest: &DatasetManifest) -> Vec<(String, Vec<u8>)> {
+    let has_errors = reliability_of(manifest).is_some();
+    let needed = |name: &str| name == Record::SCHEMA || has_errors;
+    let schemas = record_schemas().into_iter().filter(|(name, _)| needed(name));
+    schemas.map(|(name, schema)| (format!("{name}.json"), schema)).collect()
 }
 
 fn count_files(manifest: &DatasetManifest, pictures: usize) -> Result<usize, ReleaseError> {
@@ -338,7 +346,7 @@ fn check_version(
     };
     // The texts are not written yet: they will differ, be it in the version only.
     let texts = texts(dataset.manifest());
-    let texts = texts.into_iter().map(|name| (name.to_owned(), String::new()));
+    let texts = texts.into_iter().map(|name| (name, String::new()));
     let shards = dataset.manifest().shards.iter();
     let shards = shards.map(|shard| (shard.file.clone(), shard.digest.sha256.clone()));
     let changes = compare(&before, dataset, &texts.chain(shards).collect(), progress)?;

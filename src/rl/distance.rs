@@ -1,4 +1,4 @@
-//! Exact distances to walls, for the neighbourhoods of buildings (the paper's `d_B`).
+//! Exact distances to walls: the paper's `d_B`, and where holes lie.
 
 use super::cell::Cell;
 use super::world::World;
@@ -35,6 +35,15 @@ fn squared_half_cells(world: &World) -> Option<Vec<u32>> {
     nearest.collect()
 }
 
+/// Distance of each cell's centre to the nearest wall in metres, row by row; 0 in occupied cells. `None`
+/// if the map has no building.
+#[must_use]
+pub fn wall_distances_m(world: &World) -> Option<Vec<f64>> {
+    let half_cell_m = world.cell_m() / 2.0;
+    let distances = squared_half_cells(world)?.into_iter();
+    Some(distances.map(|squared| libm::sqrt(f64::from(squared)) * half_cell_m).collect())
+}
+
 /// Free cells whose centres are at most so many metres from a wall, row by row.
 #[must_use]
 pub fn neighbourhood(world: &World, metres: f64) -> Vec<Cell> {
@@ -55,6 +64,9 @@ mod tests {
     #[test]
     fn distances_are_to_the_wall_not_to_the_centre() {
         let world = world(".....\n.....\n..#..\n.....\n.....", 2);
+        let metres = wall_distances_m(&world).expect("a wall");
+        assert_eq!([metres[12], metres[11], metres[10]], [0.0, 2.0, 6.0]);
+        assert!((metres[6] - 8.0_f64.sqrt()).abs() < 1e-12);
         let count = |metres| neighbourhood(&world, metres).len();
         assert_eq!([count(1.99), count(2.0), count(2.82), count(2.83)], [0, 4, 4, 8]);
         // sqrt(6² + 2²) = 6.32 m, sqrt(6² + 6²) = 8.49 m.

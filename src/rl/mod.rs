@@ -28,7 +28,7 @@ mod world;
 
 pub use crate::random::Random;
 pub use cell::{Actions, Cell};
-pub use distance::neighbourhood;
+pub use distance::{neighbourhood, wall_distances_m};
 pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
 pub use env::{Environment, EpisodeState, NothingToLearn, Outcome};
 pub use flight::{

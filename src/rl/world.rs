@@ -406,6 +406,7 @@ pub(crate) mod tests {
                 b'x' => MASK_UNREACHED,
                 _ => MASK_REACHED,
             }),
+            errors: None,
         };
         (example().0.with_grids(&grids), grids)
     }

@@ -28,7 +28,9 @@ pub enum NpyError {
     )]
     Pickled,
     /// A type that no radio map or grid has.
-    #[error("element type {0:?} is not supported; expected float16, float32, float64 or uint8")]
+    #[error(
+        "element type {0:?} is not supported; expected float16, float32, float64, uint8, int16 or uint16"
+    )]
     DType(String),
     /// Header and size of the data contradict each other.
     #[error("shape {shape:?} of {dtype} needs {expected} bytes, found {found}")]
@@ -63,6 +65,10 @@ pub enum DType {
     Float64,
     /// Unsigned byte.
     UInt8,
+    /// Signed integer of two bytes.
+    Int16,
+    /// Unsigned integer of two bytes.
+    UInt16,
     /// Fixed-length text of one byte a character (`S`).
     Bytes(usize),
     /// Fixed-length text of four bytes a character (`U`).
@@ -74,7 +80,7 @@ impl DType {
     #[must_use]
     pub fn size(self) -> usize {
         match self {
-            Self::Float16 => 2,
+            Self::Float16 | Self::Int16 | Self::UInt16 => 2,
             Self::Float32 => 4,
             Self::Float64 => 8,
             Self::UInt8 => 1,
@@ -91,6 +97,8 @@ impl DType {
             Self::Float32 => "float32",
             Self::Float64 => "float64",
             Self::UInt8 => "uint8",
+            Self::Int16 => "int16",
+            Self::UInt16 => "uint16",
             Self::Bytes(_) => "bytes",
             Self::Unicode(_) => "text",
         }
@@ -134,6 +142,8 @@ element!(f16, DType::Float16);
 element!(f32, DType::Float32);
 element!(f64, DType::Float64);
 element!(u8, DType::UInt8);
+element!(i16, DType::Int16);
+element!(u16, DType::UInt16);
 
 /// Parses an `.npy` file that lies in memory; nothing is copied.
 ///
@@ -199,6 +209,8 @@ impl Npy<'_> {
             DType::Float32 => self.decode::<f32>().map(f64::from).collect(),
             DType::Float64 => self.decode::<f64>().collect(),
             DType::UInt8 => self.decode::<u8>().map(f64::from).collect(),
+            DType::Int16 => self.decode::<i16>().map(f64::from).collect(),
+            DType::UInt16 => self.decode::<u16>().map(f64::from).collect(),
             DType::Bytes(_) | DType::Unicode(_) => Vec::new(),
         }
     }
@@ -213,6 +225,8 @@ impl Npy<'_> {
             DType::Float32 => Some(f32::decode(bytes, self.big_endian).into()),
             DType::Float64 => Some(f64::decode(bytes, self.big_endian)),
             DType::UInt8 => bytes.first().map(|&byte| byte.into()),
+            DType::Int16 => Some(i16::decode(bytes, self.big_endian).into()),
+            DType::UInt16 => Some(u16::decode(bytes, self.big_endian).into()),
             DType::Bytes(_) | DType::Unicode(_) => None,
         }
     }
@@ -349,6 +363,8 @@ fn parse_descr(value: &str) -> Result<(DType, bool), NpyError> {
         "f4" => DType::Float32,
         "f8" => DType::Float64,
         "u1" => DType::UInt8,
+        "i2" => DType::Int16,
+        "u2" => DType::UInt16,
         "O" => return Err(NpyError::Pickled),
         _ => match kind.split_at_checked(1) {
             Some(("S", length)) => DType::Bytes(parse_count(length).ok_or_else(unsupported)?),
@@ -382,6 +398,18 @@ mod tests {
         let original = array![[1.0_f32, 2.0, 3.0], [4.0, 5.0, 6.0]];
         let bytes = npy_bytes(&original);
         assert_eq!(read_npy(&bytes).expect("valid").to_array2::<f32>(), Ok(original));
+    }
+
+    #[test]
+    fn integers_of_two_bytes_are_read_in_either_byte_order() {
+        let original = array![[-32768_i16, -1], [300, 32767]];
+        let bytes = npy_bytes(&original);
+        assert_eq!(read_npy(&bytes).expect("valid").to_array2::<i16>(), Ok(original));
+        let header = "{'descr': '>u2', 'fortran_order': False, 'shape': (1, 2), }";
+        let bytes = file(header, &[1, 0, 255, 255]);
+        let read = read_npy(&bytes).expect("valid");
+        assert_eq!(read.to_array2::<u16>(), Ok(array![[256, 65535]]));
+        assert_eq!((read.values_f64(), read.value_f64(1)), (vec![256.0, 65535.0], Some(65535.0)));
     }
 
     #[test]

@@ -15,6 +15,7 @@ use tempfile::TempDir;
 pub(crate) mod importing;
 pub(crate) mod maps;
 pub(crate) mod numpy;
+pub(crate) mod repeats;
 
 /// Files of a directory tree by relative path.
 pub(crate) type Tree = BTreeMap<String, Vec<u8>>;

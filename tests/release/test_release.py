@@ -17,6 +17,9 @@ import mlcroissant
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import repeated_dataset  # noqa: E402
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 VERSION = "1.2.0"
 
@@ -155,3 +158,72 @@ def test_read_shards_is_a_module(release: Path, manifest: dict, monkeypatch: pyt
     for key, kind in kinds.items():
         assert (record[key].dtype, record[key].shape) == (kind, (side, side))
     assert list(read_shards.records(release, "nosuch")) == []
+
+
+# ---------------------------------------------------------------- records with errors
+
+
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A release of maps with repeats, some without among them."""
+    root = tmp_path_factory.mktemp("repeated")
+    dataset = repeated_dataset.build(os.environ["HOLESCOUT"], root)
+    holescout("release", dataset, "--version", VERSION, "--date", "2026-07-01", "--out", root / "out", "--quiet")
+    return root / "out"
+
+
+def test_croissant_of_errors_is_valid_too(repeated: Path) -> None:
+    run = validate(repeated / "croissant.json")
+    assert run.returncode == 0, run.stderr
+    assert not re.search("warning|error:", run.stdout + run.stderr, re.IGNORECASE), run.stderr
+    dataset = mlcroissant.Dataset(str(repeated / "croissant.json"))
+    table = list(csv.DictReader((repeated / "records.csv").open()))
+    for row, record in zip(table, dataset.records("records"), strict=True):
+        assert record["records/repeats"] == int(row["repeats"])
+        if row["repeats"] == "8":
+            assert record["records/unsure_share"] == pytest.approx(float(row["unsure_share"]))
+
+
+def test_the_snippet_of_errors_reads_every_record(repeated: Path) -> None:
+    snippet = re.search(r"```python\n(.*?)```", (repeated / "README.md").read_text(), re.DOTALL)
+    more = "\n        assert record['rsrp_dbm'].dtype == np.float32 and -400 < record['rsrp_dbm'].min() < record['rsrp_dbm'].max() < 0"
+    run = subprocess.run([sys.executable, "-c", snippet[1] + more], cwd=repeated, check=True, capture_output=True, text=True)
+    assert len(run.stdout.splitlines()) == len(json.loads((repeated / "manifest.json").read_text())["records"])
+
+
+def test_read_shards_reads_both_schemas(repeated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    import read_shards
+
+    schemas = set()
+    table = {row["id"]: row for row in csv.DictReader((repeated / "records.csv").open())}
+    for record in read_shards.records(repeated):
+        schemas.add(record["schema"])
+        chance = read_shards.hole_probability(record)
+        outdoor = record["mask"] != 1
+        assert record["rsrp_dbm"].dtype == np.float32
+        assert ((chance >= 0) & (chance <= 1)).all() and (chance[record["mask"] == 2] == 1).all() and (chance[~outdoor] == 0).all()
+        row = table[record["id"]]
+        assert read_shards.holes(record).sum() / outdoor.sum() == pytest.approx(float(row["hole_share"]), abs=1e-6)
+        if record["schema"] == "record.v1":
+            assert set(np.unique(chance)) <= {0.0, 1.0}
+            continue
+        unsure = ((chance > 0.05) & (chance < 0.95))[outdoor].mean()
+        assert 0 < unsure == pytest.approx(float(row["unsure_share"]), abs=1e-6)
+        assert record["first_half_share"].max() <= 1
+    assert schemas == {"record.v1", "record.v2"}
+    # scipy.stats.t.cdf([-3, 0.2, 2.5], 7) and (.., 8)
+    assert read_shards.student_t(np.array([-3, 0.2, 2.5]), 7) == pytest.approx([0.009971063066, 0.576416624255, 0.979503890707])
+    assert read_shards.student_t(np.array([-3, 0.2, 2.5]), 8) == pytest.approx([0.008535840617, 0.576764504299, 0.981528981143])
+
+
+def test_python_decodes_what_the_program_does(repeated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    import read_shards
+
+    for record in list(read_shards.records(repeated))[:4]:
+        told = json.loads(holescout("inspect", repeated, "--id", record["id"], "--json"))
+        for key in read_shards.ARRAYS:
+            assert (key in record) == (key in told)
+            if key in record and key != "mask":
+                assert (record[key] == np.array(told[key], np.float32)).all(), key

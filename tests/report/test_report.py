@@ -7,6 +7,7 @@ What is missing is an error, never a skipped test.
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,9 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, Route, sync_playwright
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import repeated_dataset  # noqa: E402
 
 STARTS = 20
 # What ends nearer to a start than this may lie below its disc.
@@ -58,8 +62,18 @@ def required(name: str) -> Path:
 
 @pytest.fixture(scope="session")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Output:
-    binary, dataset = required("HOLESCOUT"), required("HOLESCOUT_DATASET")
-    out = tmp_path_factory.mktemp("report") / "eval"
+    return evaluated(required("HOLESCOUT_DATASET"), tmp_path_factory.mktemp("report") / "eval")
+
+
+@pytest.fixture(scope="session")
+def output_of_repeats(tmp_path_factory: pytest.TempPathFactory) -> Output:
+    """A report of maps that tell errors, and of some that do not."""
+    root = tmp_path_factory.mktemp("repeated")
+    return evaluated(repeated_dataset.build(required("HOLESCOUT"), root), root / "eval")
+
+
+def evaluated(dataset: Path, out: Path) -> Output:
+    binary = required("HOLESCOUT")
     arguments = ["--dataset", dataset, "--out", out, "--split", "all", "--starts", str(STARTS)]
     run = subprocess.run([binary, "evaluate", *arguments], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
@@ -249,6 +263,44 @@ def test_groups_and_difficulty_equal_the_report(page: Page, output: Output) -> N
     cells = page.locator("#difficulty .bar").evaluate_all("bars => bars.map(bar => Number(bar.dataset.cells))")
     difficulty = output.report["difficulty"]
     assert cells == [*difficulty["cells_by_hops"], difficulty["unreachable"]]
+
+
+def test_holes_by_distance_equal_the_report(page: Page, output: Output) -> None:
+    bins = output.report["distances"]
+    assert page.locator("#distance-chart svg.chart .series").count() == 1
+    for shown, each in zip(column(page, "distance-table", "hole_share"), bins, strict=True):
+        assert_close(shown, each["hole_share"] and each["hole_share"]["mean"])
+    # The toggles of methods leave the chart alone.
+    page.locator("#chart-methods button[data-all=off]").click()
+    assert page.locator("#distance-chart .series.hidden").count() == 0
+
+
+def test_that_nothing_is_known_of_labels_is_told(page: Page) -> None:
+    assert page.locator("#labels-unknown").is_visible()
+    assert not page.locator("#scores-errors").is_visible()
+    assert page.locator('#scores-table th[data-key="expected_precision"]').count() == 0
+
+
+def test_labels_equal_the_report(browser: Browser, output_of_repeats: Output) -> None:
+    opened = open_page(browser, output_of_repeats, WIDTHS["desktop"])
+    page, report = opened.page, output_of_repeats.report
+    scores, ceiling = full(report), report["labels"]["ceiling"]
+    assert len(ceiling) == len(report["evaluate"]["steps"])
+    for metric in ("precision", "expected_precision"):
+        for shown, score in zip(column(page, "scores-table", metric), [*scores, *ceiling], strict=True):
+            assert_close(shown, score[metric] and score[metric]["mean"])
+    for metric in ("sure_holes", "sure"):
+        shown = column(page, "scores-table", metric)
+        assert_close(shown[0], scores[0][metric]["mean"])
+        assert shown[-1] == "\N{EN DASH}", "the ceiling has none"
+    assert page.locator('#scores-table tr[data-method="Label ceiling"]').count() == len(ceiling)
+    assert "8 repeats" in page.locator("#labels-facts").inner_text()
+    assert not page.locator("#labels-unknown").is_visible()
+    assert page.locator("#distance-chart svg.chart .series").count() == 2
+    page.locator("#difference-metric").select_option("expected_precision")
+    assert page.locator("#differences-table td[data-a]").count() > 0
+    page.context.close()
+    assert opened.complaints == [] and opened.requests == []
 
 
 # ---------------------------------------------------------------- what can be done with it

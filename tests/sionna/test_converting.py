@@ -106,6 +106,22 @@ scene.add(Transmitter("tx", position={position}))
         assert np.array_equal(archive["rsrp_dbm"], rsrp)
 
 
+def test_several_repeats_bring_their_error(tiles: Path, tmp_path: Path) -> None:
+    with np.load(HELSINKI / f"rsrp/{TILE}.npz") as archive:
+        gain = 10 ** (archive["path_gain_db"].astype(np.float64) / 10)
+    traces = gain * np.random.default_rng(1).uniform(0.5, 1.5, (8, *gain.shape))
+    np.save(tmp_path / "traces.npy", traces)
+    run(tmp_path, SNIPPETS["traces.npy"])
+    rsrp = imported(tmp_path / "maps", tiles, tmp_path / "rsrp")
+    with np.load(tmp_path / f"rsrp/{TILE}.npz") as archive:
+        mask, error, share = archive["mask"], archive["std_error_db"], archive["first_half_share"]
+    # The map is south first, its import north first.
+    mean, deviation, half = (values[::-1][mask == 0] for values in (traces.mean(0), traces.std(0, ddof=1), traces[:4].mean(0)))
+    assert np.allclose(rsrp[mask == 0], 15 + 10 * np.log10(mean), atol=1e-4)
+    assert np.allclose(error[mask == 0], 10 / np.log(10) * deviation / np.sqrt(8) / mean, atol=1e-4)
+    assert np.allclose(share[mask == 0], half / mean / 2, atol=1e-5)
+
+
 def test_every_snippet_is_run() -> None:
     document = (ROOT / "docs/CONVERTING.md").read_text()
-    assert document.count("```python") == len(SNIPPETS) == 5
+    assert document.count("```python") == len(SNIPPETS) == 6

@@ -28,6 +28,7 @@ use self::queue::Queue;
 use self::work::{Outcome, Plan, Unreadable, Worker};
 use super::read::{Dataset, ReadError};
 use super::record::{Grids, Record};
+use super::statistics::reliability_of;
 use crate::config::{OnDamage, Split};
 use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
@@ -36,6 +37,8 @@ use crate::grid::TileId;
 const OPEN_SHARDS: usize = 256;
 /// Bytes of a cell in [`Grids`]: two float32 and one uint8.
 const CELL_BYTES: usize = 4 + 4 + 1;
+/// Two float32 more where there are errors.
+const ERROR_BYTES: usize = 4 + 4;
 const TWO: NonZero<usize> = NonZero::new(2).expect("not zero");
 /// Bytes of a record besides its arrays, generously.
 const OTHER_BYTES: usize = 8 << 10;
@@ -168,7 +171,9 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
             open_shards = open_shards.min(shards);
         }
         let cells = dataset.manifest().cells as usize;
-        let record = cells.saturating_mul(cells).saturating_mul(2 * CELL_BYTES) + OTHER_BYTES;
+        let has_errors = reliability_of(dataset.manifest()).is_some();
+        let cell_bytes = CELL_BYTES + if has_errors { ERROR_BYTES } else { 0 };
+        let record = cells.saturating_mul(cells).saturating_mul(2 * cell_bytes) + OTHER_BYTES;
         let affordable = options.memory_bytes / (THREAD_BYTES + record);
         let threads = options.threads.get().min(affordable.max(1));
         let fitting = options.memory_bytes.saturating_sub(threads * THREAD_BYTES) / record;
