@@ -1,6 +1,6 @@
 """Heights on whole cities, cell by cell against the reading in heights_reference.py. Run by `make test-real`.
 
-The reading itself is held against the cases of `cases/osm` beside the data, and against figures counted by hand.
+The reading itself is held against the cases of `fixtures/osm`, and against figures counted by hand.
 """
 
 import json
@@ -13,7 +13,7 @@ import pytest
 
 from gdal_equality import read_tiles
 from heights_reference import GUESS, HEIGHT, LEVELS, Reference, found_tops, length_m
-from test_real import data, holescout, script  # noqa: F401
+from test_real import ROOT, data, holescout, script  # noqa: F401
 
 # Extract and number of tiles compared; 0: all.
 CITIES = {"manhattan": 0, "london": 0, "helsinki": 0, "monaco": 0, "sanjose_buildings": 100}
@@ -92,9 +92,9 @@ def test_what_is_no_length_or_could_be_two_is_refused(text: str) -> None:
     assert length_m(text) is None
 
 
-def test_the_reference_reads_the_cases_right(data: Path) -> None:  # noqa: F811
+def test_the_reference_reads_the_cases_right() -> None:
     """Every case of one extract that is not to be refused. What the command does is for the cases' own check."""
-    folder = data.parent / "cases" / "osm"
+    folder = ROOT / "fixtures" / "osm"
     cases = json.loads((folder / "cases.json").read_text(encoding="utf-8"))
     wrong, read = {}, 0
     for case in cases:
