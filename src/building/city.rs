@@ -62,7 +62,7 @@ impl City {
         let index = BoxIndex::new(boxes, BLOCK_M);
         let outlines = outlines_of_parts(&buildings, &index, named);
         for (&part, outlines) in &outlines {
-            inherit(&mut buildings, part as usize, outlines);
+            inherit(&mut buildings, part as usize, outlines, config.level_height_m as f32);
         }
         let mut parts: HashMap<u32, Vec<u32>> = HashMap::new();
         for (&part, outlines) in &outlines {
@@ -227,16 +227,110 @@ fn outlines_at(buildings: &[Building], index: &BoxIndex, part: usize) -> Vec<u32
 }
 
 /// What a part does not tell it takes from the first of its outlines that tells a top above the
-/// part's bottom.
-fn inherit(buildings: &mut [Building], part: usize, outlines: &[u32]) {
+/// part's bottom. If all that tell one end below, the part is a level high: where it begins is known.
+fn inherit(buildings: &mut [Building], part: usize, outlines: &[u32], level_height_m: f32) {
     let Attributes { source, min_height_m, .. } = buildings[part].attributes;
     if source.is_known() {
         return;
     }
-    let mut told = outlines.iter().map(|&outline| buildings[outline as usize].attributes);
-    let told = told.find(|told| told.source.is_known() && told.height_m > min_height_m);
-    if let Some(Attributes { height_m, source, .. }) = told {
-        let attributes = &mut buildings[part].attributes;
-        (attributes.height_m, attributes.source) = (height_m, source);
+    let told = outlines.iter().map(|&outline| buildings[outline as usize].attributes);
+    let told = || told.clone().filter(|outline| outline.source.is_known());
+    let above = told().find(|outline| outline.height_m > min_height_m);
+    let (height_m, source) = match (above, told().next()) {
+        (Some(Attributes { height_m, source, .. }), _) => (height_m, source),
+        (None, Some(Attributes { source, .. })) => (min_height_m + level_height_m, source),
+        (None, None) => return,
+    };
+    let attributes = &mut buildings[part].attributes;
+    (attributes.height_m, attributes.source) = (height_m, source);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::building::HeightSource;
+    use geo::{MultiPolygon, coord};
+
+    /// A rectangle from a place on, 10 m high to the north.
+    fn building(id: i64, kind: Kind, [west, east]: [f64; 2], height: Option<f32>) -> Building {
+        let rect = Rect::new(coord! { x: west, y: 0.0 }, coord! { x: east, y: 10.0 });
+        let attributes = Attributes {
+            kind,
+            height_m: height.unwrap_or(6.0),
+            source: if height.is_some() { HeightSource::Height } else { HeightSource::Default },
+            min_height_m: 0.0,
+            raised: false,
+        };
+        let footprint = MultiPolygon(vec![rect.to_polygon()]);
+        Building { object: ObjectId::Way(id), footprint, attributes }
+    }
+
+    fn raised(mut building: Building, bottom: f32) -> Building {
+        building.attributes.min_height_m = bottom;
+        building.attributes.raised = true;
+        building
+    }
+
+    fn city(buildings: Vec<Building>, named: &[Named]) -> City {
+        City::new(buildings, named, &BuildingsConfig::default())
+    }
+
+    fn height(city: &City, at: usize) -> (f32, HeightSource) {
+        let Attributes { height_m, source, .. } = city.buildings()[at].attributes;
+        (height_m, source)
+    }
+
+    #[test]
+    fn a_part_belongs_to_the_outlines_that_hold_it() {
+        use Kind::{Outline, Part};
+        let made = city(
+            vec![
+                building(1, Outline, [0.0, 40.0], Some(20.0)),
+                building(2, Outline, [40.0, 80.0], Some(30.0)),
+                building(3, Outline, [0.0, 100.0], None),
+                building(10, Part, [0.0, 20.0], None),
+                building(11, Part, [30.0, 50.0], None),
+                building(12, Part, [36.0, 60.0], None),
+                building(13, Part, [78.0, 120.0], None),
+                building(14, Part, [99.0, 140.0], None),
+            ],
+            &[],
+        );
+        let outlines = |part: usize| made.outlines_of(part);
+        assert_eq!(outlines(3), [0, 2], "the smallest first");
+        assert_eq!(outlines(4), [0, 1, 2], "half of it in each of two neighbours");
+        assert_eq!(outlines(5), [1, 2], "a sixth in the first");
+        assert_eq!(outlines(6), [2], "the one that holds most of it, though that is half");
+        assert!(outlines(7).is_empty(), "less than a tenth");
+        assert_eq!(made.parts_of(1), [4, 5]);
+        assert_eq!(height(&made, 3), (20.0, HeightSource::Height));
+        assert_eq!(height(&made, 5), (30.0, HeightSource::Height));
+        assert_eq!(height(&made, 6), (6.0, HeightSource::Default), "its outline knows nothing");
+    }
+
+    #[test]
+    fn relations_name_parts_and_come_first() {
+        use Kind::{Outline, Part};
+        let buildings = vec![
+            building(1, Outline, [0.0, 40.0], Some(20.0)),
+            building(2, Outline, [200.0, 240.0], Some(30.0)),
+            building(10, Part, [0.0, 20.0], None),
+        ];
+        let named = [Named { outline: ObjectId::Way(2), part: ObjectId::Way(10) }];
+        let made = city(buildings, &named);
+        assert_eq!(made.outlines_of(2), [1, 0]);
+        assert_eq!(height(&made, 2), (30.0, HeightSource::Height));
+    }
+
+    #[test]
+    fn what_is_inherited_is_above_the_bottom() {
+        use Kind::{Outline, Part};
+        let of = |bottom: f32, outline: Option<f32>| {
+            let part = raised(building(10, Part, [0.0, 20.0], None), bottom);
+            height(&city(vec![building(1, Outline, [0.0, 40.0], outline), part], &[]), 1)
+        };
+        assert_eq!(of(10.0, Some(15.0)), (15.0, HeightSource::Height));
+        assert_eq!(of(20.0, Some(15.0)), (23.0, HeightSource::Height));
+        assert_eq!(of(20.0, None), (6.0, HeightSource::Default), "as the tags were read");
     }
 }

@@ -50,9 +50,8 @@ pub(super) fn prisms_of(city: &City, building: usize, prisms: &mut Vec<Prism>) {
     let known = attributes.source.is_known();
     // What is known hides what is guessed.
     let mut hidden = if known { vec![] } else { city.overlapping(building, is_known) };
-    // Its parts say how high an outline is; a part that is a guess says nothing that it knows better.
-    let parts = city.parts_of(building).iter().copied();
-    hidden.extend(parts.filter(|&part| !known || is_known(&city.buildings()[part as usize])));
+    // Its parts say how high an outline is. They know at least as much, for they inherit from it.
+    hidden.extend(city.parts_of(building));
     hidden.sort_unstable();
     hidden.dedup();
     if !attributes.raised {

@@ -360,12 +360,8 @@ mod tests {
         };
         let here: Vec<usize> = (0..city.buildings().len()).filter(covers).collect();
         let of = |at: usize| &city.buildings()[at].attributes;
-        let is_replaced = |&at: &usize| {
-            here.iter().any(|&part| {
-                city.outlines_of(part).contains(&(at as u32))
-                    && (of(part).source.is_known() || !of(at).source.is_known())
-            })
-        };
+        let is_replaced =
+            |&at: &usize| here.iter().any(|&part| city.outlines_of(part).contains(&(at as u32)));
         let stands = here.iter().any(|&at| !of(at).raised);
         let counts = here.iter().filter(|at| stands && !is_replaced(at));
         let best = counts.max_by(|&&a, &&b| {
