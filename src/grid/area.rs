@@ -22,9 +22,9 @@ pub enum Area {
 pub enum AreaError {
     /// The bounding box is empty or not on the globe.
     #[error(
-        "bounding box {0:?} is no area: expected west,south,east,north in degrees, longitudes \
-         within ±180 (west > east reaches across the antimeridian, over 180° at most), south < north \
-         within ±90"
+        "bounding box {0:?} is no area: expected west,south,east,north in degrees, \
+         west < east within ±180 (west > east reaches across the antimeridian, less than 180° wide) \
+         and south < north within ±90"
     )]
     Bbox([f64; 4]),
     /// The file could not be read.
