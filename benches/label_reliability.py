@@ -2,6 +2,9 @@
 
     label_reliability.py trace STORE     makes tiles and scenes, then traces the queue of benches/labels/study.toml; goes on where it was
     label_reliability.py status STORE    how much of the queue is traced
+    label_reliability.py pack STORE      adds finished repeats of all their tiles to benches/labels (--partial: unfinished ones as well)
+    label_reliability.py maps STORE OUT  writes the means of the long traces as maps for `holescout import-rsrp`
+    label_reliability.py report          tables and plot from benches/labels
 
 `trace` needs HOLESCOUT (the program) and HOLESCOUT_DATA (a folder with osm/sanjose_buildings.osm.pbf) once, for tiles and scenes.
 """
@@ -15,11 +18,13 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from label_packs import FOLDER, REFERENCE, levels_of, load_pack, outdoor_of, save_pack, save_tiles
+from label_report import LONG, report
 from label_store import SCENE_KEYS, Job, Settings, prepare, queue, read_study, read_tiles, scene_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipeline"))
-from sionna_files import Options, Scene, read_scene, write_map
-from sionna_repeats import shift_of
+from sionna_files import InvalidInput, Metadata, Options, Scene, read_metadata, read_scene, write_map
+from sionna_repeats import Moments, shift_of
 from sionna_trace import Tracer, check_loaded, say, start_sionna
 
 
@@ -57,13 +62,17 @@ def trace(store: Path) -> None:
     """Traces all that is missing of the queue."""
     if not (store / "tiles.json").exists():
         prepare(store, Path(os.environ["HOLESCOUT"]), Path(os.environ["HOLESCOUT_DATA"]) / "osm" / read_study()["tiles"]["extract"])
-    study, tiles = read_study(), read_tiles(store)
+    tiles = read_tiles(store)
     start_sionna(None)
     tracer = Tracer()
-    for job in queue(study, tiles):
-        if not job.path(store).exists():
-            seconds = trace_one(tracer, store, job, study["sets"][job.set])
-            say(f"{time.strftime('%H:%M:%S')} {job.set} {job.tile} {job.repeat}: {seconds:.1f} s")
+    while True:
+        # Read anew each time, so that the order may be changed while it runs.
+        study = read_study()
+        job = next((job for job in queue(study, tiles) if not job.path(store).exists()), None)
+        if job is None:
+            return
+        seconds = trace_one(tracer, store, job, study["sets"][job.set])
+        say(f"{time.strftime('%H:%M:%S')} {job.set} {job.tile} {job.repeat}: {seconds:.1f} s")
 
 
 def status(store: Path) -> None:
@@ -77,13 +86,79 @@ def status(store: Path) -> None:
         print(f"{name:16} {there[name]:4} of {count:4} traces of {study['sets'][name]['samples']:.3g} rays")
 
 
+def load_trace(path: Path) -> tuple[np.ndarray, dict[str, float]]:
+    """Path gain and cost of a kept trace."""
+    with np.load(path) as archive:
+        return archive["path_gain"], json.loads(archive["cost_json"].tobytes())
+
+
+def pack(store: Path, partial: bool) -> None:
+    """Writes what is finished and not packed yet."""
+    study = read_study()
+    described = json.loads((store / "tiles.json").read_text())
+    masks = {tile["id"]: outdoor_of(np.load(store / "tiles" / f"{tile['id']}.npz")["height_m"]) for tile in described}
+    save_tiles(masks, {tile["id"]: tile["built"] for tile in described})
+    # A repeat is whole when it has all tiles of the first step of the queue that asks for it.
+    wanted: dict[tuple[str, int], list[Job]] = {}
+    for step in study["queue"]:
+        of_step: dict[tuple[str, int], list[Job]] = {}
+        for job in queue({"queue": [step]}, list(masks)):
+            of_step.setdefault((job.set, job.repeat), []).append(job)
+        wanted = of_step | wanted
+    reference: dict[str, np.ndarray] = {}
+    for (name, repeat), jobs in sorted(wanted.items(), key=lambda item: f"{item[0][0]}-{item[0][1]}" != REFERENCE):
+        path = FOLDER / f"{name}-{repeat}.xz"
+        there = [job for job in jobs if job.path(store).exists()]
+        packed = set(load_pack(path, {})[1]) if path.exists() else set()
+        is_worth_it = len(there) == len(jobs) or partial
+        if is_worth_it and {job.tile for job in there} - packed:
+            levels, costs = {}, {}
+            for job in there:
+                path_gain, costs[job.tile] = load_trace(job.path(store))
+                # Maps begin in the south, masks in the north.
+                levels[job.tile] = levels_of(path_gain[::-1][masks[job.tile]])
+            print(f"{path.name}: {len(levels)} tiles, {save_pack(path.stem, levels, costs, reference)} bytes")
+        if path.stem == REFERENCE and path.exists():
+            reference = load_pack(path, {})[0]
+
+
+def same_settings(found: list[tuple[Path, Metadata]]) -> Metadata:
+    """Metadata that repeats have in common. Raises InvalidInput if they differ in more than which repeat they are."""
+    (first, common), *others = [(path, {key: value for key, value in metadata.items() if key != "repeat"}) for path, metadata in found]
+    for path, metadata in others:
+        if differences := [f"{key} {metadata.get(key)} instead of {common.get(key)}" for key in sorted(metadata.keys() | common.keys())
+                           if metadata.get(key) != common.get(key)]:
+            raise InvalidInput(f"{path} is no repeat of {first}: {'; '.join(differences)}")
+    return common
+
+
+def maps(store: Path, out: Path) -> None:
+    """Writes a map of each tile: the mean of an even number of long traces, with its error."""
+    out.mkdir(parents=True, exist_ok=True)
+    for tile in read_tiles(store):
+        paths = sorted((store / "traces" / LONG).glob(f"{tile}-*.npz"))
+        paths = paths[: len(paths) // 2 * 2]
+        if not paths:
+            continue
+        metadata = same_settings([(path, read_metadata(path)) for path in paths]) | {"repeats": len(paths)}
+        moments = Moments(len(paths))
+        for path in paths:
+            moments.add(load_trace(path)[0])
+        write_map(out / f"{tile}.npz", moments.arrays(), metadata, ".part")
+
+
 def main() -> None:
     """Runs the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("trace", "status"))
-    parser.add_argument("store", type=Path)
-    parsed = parser.parse_args()
-    {"trace": trace, "status": status}[parsed.command](parsed.store)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("trace", "status", "pack", "maps"):
+        commands.add_parser(name).add_argument("store", type=Path)
+    commands.choices["pack"].add_argument("--partial", action="store_true")
+    commands.choices["maps"].add_argument("out", type=Path)
+    commands.add_parser("report")
+    arguments = vars(parser.parse_args())
+    command = {"trace": trace, "status": status, "pack": pack, "maps": maps, "report": report}[arguments.pop("command")]
+    command(**arguments)
 
 
 if __name__ == "__main__":
