@@ -22,7 +22,7 @@ STEP_DB = 0.5
 LOWEST_DBM = HOLE_DBM - 134 * STEP_DB
 FLIGHT_M = 2.0
 GRID, FACTOR = 121, 4
-REFERENCE = "r1e8-0"
+REFERENCE = "w1e7-0"
 
 
 def outdoor_of(height_grid: np.ndarray) -> np.ndarray:

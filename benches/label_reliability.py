@@ -23,7 +23,7 @@ from label_report import LONG, report
 from label_store import SCENE_KEYS, Job, Settings, prepare, queue, read_study, read_tiles, scene_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipeline"))
-from sionna_files import InvalidInput, Metadata, Options, Scene, read_metadata, read_scene, write_map
+from sionna_files import WEDGE_TABLE, InvalidInput, Metadata, Options, Scene, read_metadata, read_scene, write_map
 from sionna_repeats import Moments, shift_of
 from sionna_trace import Tracer, check_loaded, say, start_sionna
 
@@ -32,7 +32,8 @@ def scene_for(store: Path, job: Job, settings: Settings) -> Scene:
     """What a job traces."""
     options = Options(cell_m=4.0, size_m=484.0, samples=settings["samples"], rays_per_cell=1.0, max_samples=settings["samples"],
                       max_depth=settings.get("max_depth", 5), frequency_hz=3.5e9, tx_power_dbm=15.0, refraction=False,
-                      diffraction=settings.get("diffraction", True), seed=settings["seed"])
+                      diffraction=settings.get("diffraction", True), seed=settings["seed"],
+                      wedge_table=settings.get("wedge_table", WEDGE_TABLE))
     return read_scene(scene_of(store, job.set, settings, job.tile), options)
 
 

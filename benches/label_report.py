@@ -13,7 +13,7 @@ from label_figures import HOLE_GAIN, Counts, Figure, compare, figures, local_min
 from label_packs import FOLDER, REFERENCE, load_pack, load_tiles, path_gain_of
 from label_store import read_study
 
-LONG, SHORT = "r1e8", "r1e7"
+LONG, SHORT = "w1e8", "w1e7"
 GROUPS = (1, 2, 4, 8, 16)
 SENSITIVITY = {
     "depth3": "depth 3 instead of 5", "depth8": "depth 8", "no_diffraction": "no diffraction", "brick": "walls of brick",

@@ -23,6 +23,8 @@ SCHEMA = "radio_map.v1"
 SCENE_SCHEMA = "scene.v1"
 # How metadata call what makes repeats differ (`sionna_repeats`).
 DIRECTION_SHIFT = "random"
+# Places in the hash table of wedges as Sionna has it.
+WEDGE_TABLE = 10_000
 # What `holescout scenes` leaves while it is not finished.
 JOURNALS = ".holescout-build*.jsonl"
 
@@ -52,6 +54,7 @@ class Options:
     diffraction: bool
     seed: int
     repeats: int = 1
+    wedge_table: int = WEDGE_TABLE
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,7 @@ def read_scene(folder: Path, options: Options) -> Scene:
         "licence": description["licence"],
         "attribution": description["attribution"],
         **({"repeats": options.repeats, "direction_shift": DIRECTION_SHIFT} if options.repeats > 1 else {}),
+        **({"wedge_table": options.wedge_table} if options.wedge_table != WEDGE_TABLE else {}),
     }, grid, note)
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sionna_files import InvalidInput
+from sionna_files import WEDGE_TABLE, InvalidInput
 
 GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
 
@@ -90,6 +90,22 @@ def shifted_directions(shift: Shift, samples: int) -> Iterator[None]:
     if calls != [samples]:
         raise InvalidInput(f"expected the solver to ask once for {samples} directions, it asked for {calls}: repeats need the pinned "
                            "Sionna, install pipeline/sionna-requirements.txt")
+
+
+@contextlib.contextmanager
+def wedge_table(places: int) -> Iterator[None]:
+    """While it is open, the solver's hash table of diffracting wedges has so many places. Raises InvalidInput if it has no such table."""
+    from sionna.rt import RadioMapSolver
+
+    name = "_WEDGE_INTERSECTIONS_SIZE"
+    if getattr(RadioMapSolver, name, None) != WEDGE_TABLE:
+        raise InvalidInput(f"expected {name} of {WEDGE_TABLE} in sionna.rt.RadioMapSolver, found {getattr(RadioMapSolver, name, None)}: "
+                           "install pipeline/sionna-requirements.txt")
+    setattr(RadioMapSolver, name, places)
+    try:
+        yield
+    finally:
+        setattr(RadioMapSolver, name, WEDGE_TABLE)
 
 
 class Moments:

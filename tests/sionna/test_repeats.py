@@ -55,8 +55,10 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Many:
     tracer = sionna_trace.Tracer()
     from sionna.rt import Transmitter, load_scene
 
-    def traces(samples: int, repeats: int, seed: int, *, shifted: bool = True, diffraction: bool = True) -> np.ndarray:
+    def traces(samples: int, repeats: int, seed: int, *, shifted: bool = True, diffraction: bool = True,
+               places: int = sionna_files.WEDGE_TABLE) -> np.ndarray:
         scene = sionna_files.read_scene(folder, options(samples, 1, diffraction, seed))
+        scene.metadata["wedge_table"] = places
         loaded = load_scene(str(scene.xml), merge_shapes=False)
         loaded.frequency, loaded.tx_array = 3.5e9, tracer.array
         loaded.add(Transmitter("base-station", position=STATION))
@@ -162,6 +164,7 @@ def test_a_map_holds_mean_error_and_first_half(many: Many, tmp_path: Path) -> No
     meta = json.loads(found["meta_json"].tobytes())
     jsonschema.validate(meta, json.loads((ROOT / "schemas/radio_map.v1.json").read_text()))
     assert (meta["repeats"], meta["direction_shift"], meta["samples_per_tx"], meta["seed"]) == (4, "random", FEW, 1)
+    assert meta["wedge_table"] == 1_000_000
     # The same repeats, one by one.
     repeats = many(FEW, 4, seed=1, diffraction=False)
     assert (repeats > 0).any(0).sum() > (repeats > 0).all(0).sum(), "some cells are reached by some repeats only"
@@ -193,9 +196,9 @@ def test_other_repeats_are_another_map(tmp_path: Path) -> None:
     flags = [tmp_path / "scenes", "--out", tmp_path / "maps", "--samples", FEW]
     assert "1 maps traced, 0 kept" in trace(*flags)
     plain = json.loads(load(tmp_path / "maps/one.npz")["meta_json"].tobytes())
-    assert not {"repeats", "direction_shift"} & plain.keys(), "without --repeats a map is what it was"
+    assert not {"repeats", "direction_shift", "wedge_table"} & plain.keys(), "without --repeats a map is what it was"
     told = trace(*flags, "--repeats", 2, status=3)
-    assert "one.npz was traced otherwise: direction_shift None instead of random; repeats None instead of 2" in told
+    assert "one.npz was traced otherwise: direction_shift None instead of random; repeats None instead of 2; wedge_table None instead of 1000000" in told
     assert "1 maps traced, 0 kept" in trace(*flags, "--repeats", 2, "--overwrite")
     assert "0 maps traced, 1 kept" in trace(*flags, "--repeats", 2)
     assert "repeats 2 instead of 4" in trace(*flags, "--repeats", 4, status=3)
@@ -236,6 +239,20 @@ def test_another_sionna_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RuntimeError), sionna_repeats.shifted_directions(shift, 1):
         raise RuntimeError("the solver failed")
     assert solver.fibonacci_lattice is own
+
+
+def test_wedges_whose_place_is_taken_are_lost(many: Many, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Two houses have 21 edges: hardly one is lost in 10,000 places, most are in three.
+    full, large, small = (many(FEW, 4, seed=8, places=places).mean(0) for places in (sionna_files.WEDGE_TABLE, 1_000_000, 3))
+    shadow = many(FEW, 4, seed=8, diffraction=False).mean(0) == 0
+    assert large[shadow].sum() == pytest.approx(full[shadow].sum(), rel=0.2)
+    assert small[shadow].sum() < 0.7 * large[shadow].sum()
+    from sionna.rt import RadioMapSolver
+
+    assert RadioMapSolver._WEDGE_INTERSECTIONS_SIZE == sionna_files.WEDGE_TABLE
+    monkeypatch.setattr(RadioMapSolver, "_WEDGE_INTERSECTIONS_SIZE", 20_000)
+    with pytest.raises(sionna_files.InvalidInput, match="expected _WEDGE_INTERSECTIONS_SIZE of 10000"), sionna_repeats.wedge_table(5):
+        pass
 
 
 def test_moments_are_those_of_all_repeats() -> None:
