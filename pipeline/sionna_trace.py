@@ -8,7 +8,8 @@ reads `SCENES/<id>/{scene.json, scene.xml, *.ply}` (schema scene.v1) and writes 
   station, [n, rows, columns] for n. Row 0 is the southernmost and column 0 the westernmost, as Sionna emits it.
 - `meta_json`: metadata (schema radio_map.v1) as UTF-8 in uint8. With n base stations `tx_position_m` is a list of n.
 
-With `--repeats R` each base station is traced R times, independently (`sionna_repeats`), and the file holds of the same shape
+With `--repeats R` each base station is traced R times, independently (`sionna_repeats`); `--repeats` alone means 8, and without it
+there is one trace. Then the file holds of the same shape
 
 - `path_gain`: the mean over the repeats in linear power, cells that a repeat does not reach counted as 0.
 - `path_gain_std_error`: float32, linear, the standard error of that mean: sample standard deviation over sqrt(R).
@@ -84,6 +85,8 @@ LLVM_FOLDERS = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/u
 MOST_SAMPLES = 2**32 - 1
 # Of 6,400 wedges that a base station of San Jose sees, Sionna's table keeps two thirds; this one loses fewer than 1 %, for 3 % of time.
 REPEATED_WEDGE_TABLE = 1_000_000
+# What --repeats without a number means.
+REPEATS = 8
 # Share of edges without an opposite face that is told, but let pass: where a building touches itself.
 OPEN_EDGES = 0.01
 # What a bad scene may raise, here and in Sionna. It must not cost the other scenes their maps.
@@ -244,9 +247,10 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--size", type=positive(float), metavar="M", help="side of the map [map_size_m of the scene]")
     parser.add_argument("--samples", type=positive(int), metavar="N",
                         help="rays per base station in each repeat [as many as --rays-per-cell needs]")
-    parser.add_argument("--repeats", type=positive(int), default=1, metavar="R",
-                        help="independent traces of each base station, an even number: the map holds their mean, its standard error "
-                             "and the mean of their first half [%(default)s: a single trace in Sionna's own directions]")
+    parser.add_argument("--repeats", type=positive(int), nargs="?", default=1, const=REPEATS, metavar="R",
+                        help="independent traces of each base station, an even number, %(const)s if it is left out: the map holds "
+                             "their mean, its standard error and the mean of their first half "
+                             "[%(default)s: a single trace in Sionna's own directions]")
     parser.add_argument("--rays-per-cell", type=positive(float), default=10.0, metavar="X",
                         help="expected line-of-sight rays in the cell that is farthest from the base station, of all "
                              "repeats together [%(default)g]")

@@ -205,6 +205,20 @@ def test_other_repeats_are_another_map(tmp_path: Path) -> None:
     assert "--repeats 3: expected an even number" in trace(*flags, "--repeats", 3, status=2)
 
 
+@pytest.mark.parametrize(("flags", "repeats", "places"), [
+    ([], 1, sionna_files.WEDGE_TABLE), (["--repeats"], 8, 1_000_000), (["--repeats", "--seed", "2"], 8, 1_000_000),
+    (["--repeats", "16"], 16, 1_000_000), (["--repeats", "1"], 1, sionna_files.WEDGE_TABLE)])
+def test_repeats_without_a_number_are_eight(flags: list[str], repeats: int, places: int) -> None:
+    found = sionna_trace.options_of(sionna_trace.parse_arguments(["scenes", "--out", "maps", *flags]))
+    assert (found.repeats, found.wedge_table) == (repeats, places)
+
+
+@pytest.mark.parametrize("wrong", ["0", "3", "-2", "many"])
+def test_odd_repeats_are_refused(wrong: str) -> None:
+    with pytest.raises(SystemExit):
+        sionna_trace.parse_arguments(["scenes", "--out", "maps", "--repeats", wrong])
+
+
 def test_rays_are_shared_out_among_repeats(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "one", [[0.0, 0.0, 42.0]])
     # As in test_trace.py: 622,000 rays are wanted, two digits of them taken.
