@@ -48,14 +48,14 @@ FIGURES: dict[str, Callable[[dict[str, np.ndarray]], np.ndarray]] = {
 
 
 def figures(tiles: list[list[Counts]], seed: int = 1) -> dict[str, Figure]:
-    """All figures with their 95 % intervals over tiles; of each tile one or more comparisons."""
+    """All figures with their 95 % intervals over tiles (nan for a single one); of each tile one or more comparisons."""
     table = {name: np.array([np.mean([counts[name] for counts in of_tile]) for of_tile in tiles]) for name in COUNTS}
     drawn = np.random.default_rng(seed).integers(0, len(tiles), (RESAMPLES, len(tiles)))
     resampled = {name: values[drawn].sum(1) for name, values in table.items()}
     whole = {name: values.sum(keepdims=True) for name, values in table.items()}
     found = {}
     for name, figure in FIGURES.items():
-        low, high = np.nanpercentile(figure(resampled), [2.5, 97.5])
+        low, high = np.nanpercentile(figure(resampled), [2.5, 97.5]) if len(tiles) > 1 else (np.nan, np.nan)
         found[name] = (float(figure(whole)[0]), float(low), float(high))
     return found
 
@@ -74,7 +74,8 @@ class Scatter:
 def residual_products(repeats: np.ndarray, truths: tuple[np.ndarray, np.ndarray], scale: np.ndarray, group: int) -> float:
     """Mean over cells of (mean of `group` repeats - one truth) x (the same - the other truth), in units of `scale` squared.
 
-    The truths are independent of each other, so that their own errors drop out: what is left is the variance of the mean.
+    The truths are independent of each other, so that their own errors drop out: what is left is the variance of the mean. `scale` must
+    depend on neither repeats nor truths.
     """
     means = repeats[: len(repeats) // group * group].reshape(-1, group, repeats.shape[1]).mean(1)
     noisy = scale > 0
@@ -95,13 +96,14 @@ def scatter(tiles: list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndar
                    {group: interval(lambda sums, column=column: sums[:, column] / sums[:, 0]) for column, group in enumerate(groups)})
 
 
-# ---------------------------------------------------------------- local minima
+# ---------------------------------------------------------------- roughness
 
 
 def local_minima(path_gain: np.ndarray, outdoor: np.ndarray) -> tuple[int, int]:
-    """Outdoor cells none of whose neighbours (of eight) is outdoor and weaker, and all outdoor cells that a path reaches.
+    """Outdoor cells that are weaker than all outdoor ones of their eight neighbours, and all outdoor cells that a path reaches.
 
-    Cells without a path are weaker than all others and no minima themselves.
+    Cells without a path are weaker than all others and no minima themselves. Levels of packs have steps of 0.5 dB, so that neighbours
+    may be equal, where the trace itself has a minimum. Noise alone would make a ninth of the cells minima.
     """
     level = np.full((outdoor.shape[0] + 2, outdoor.shape[1] + 2), np.inf)
     inner = np.full(outdoor.shape, np.inf)
@@ -110,4 +112,29 @@ def local_minima(path_gain: np.ndarray, outdoor: np.ndarray) -> tuple[int, int]:
     lowest = np.min([level[1 + row:level.shape[0] - 1 + row, 1 + column:level.shape[1] - 1 + column]
                      for row in (-1, 0, 1) for column in (-1, 0, 1) if (row, column) != (0, 0)], axis=0)
     reached = outdoor & (inner > 0) & np.isfinite(inner)
-    return int((reached & (lowest >= inner)).sum()), int(reached.sum())
+    return int((reached & (lowest > inner)).sum()), int(reached.sum())
+
+
+def recurring(tiles: list[tuple[np.ndarray, np.ndarray, np.ndarray]], seed: int = 1) -> tuple[Figure, Figure]:
+    """How steps between neighbouring cells recur in an independent trace: rms of a step in dB, and the share of its variance that
+    both traces have in common, in percent; the rest is noise. Of each tile two maps and its outdoor cells.
+    """
+    sums = []
+    for one, other, outdoor in tiles:
+        levels = np.full((2, *outdoor.shape), np.nan)
+        with np.errstate(divide="ignore"):
+            levels[:, outdoor] = 10 * np.log10([one, other])
+        levels[np.isinf(levels)] = np.nan
+        steps = [np.diff(levels, axis=axis).reshape(2, -1) for axis in (1, 2)]
+        first, second = np.concatenate(steps, 1)
+        both = np.isfinite(first) & np.isfinite(second)
+        first, second = first[both], second[both]
+        sums.append((both.sum(), (first**2 + second**2).sum() / 2, (first * second).sum()))
+    table = np.array(sums, dtype=float)
+    drawn = np.random.default_rng(seed).integers(0, len(table), (RESAMPLES, len(table)))
+
+    def interval(figure: Callable[[np.ndarray], np.ndarray]) -> Figure:
+        low, high = np.percentile(figure(table[drawn].sum(1)), [2.5, 97.5])
+        return float(figure(table.sum(0)[None])[0]), float(low), float(high)
+
+    return interval(lambda found: np.sqrt(found[:, 1] / found[:, 0])), interval(lambda found: 100 * found[:, 2] / found[:, 1])

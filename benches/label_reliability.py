@@ -110,7 +110,7 @@ def pack(store: Path, partial: bool) -> None:
     for (name, repeat), jobs in sorted(wanted.items(), key=lambda item: f"{item[0][0]}-{item[0][1]}" != REFERENCE):
         path = FOLDER / f"{name}-{repeat}.xz"
         there = [job for job in jobs if job.path(store).exists()]
-        packed = set(load_pack(path, {})[1]) if path.exists() else set()
+        packed = set(load_pack(path, reference)[1]) if path.exists() else set()
         is_worth_it = len(there) == len(jobs) or partial
         if is_worth_it and {job.tile for job in there} - packed:
             levels, costs = {}, {}

@@ -60,6 +60,15 @@ def queue(study: Settings, tiles: list[str]) -> Iterator[Job]:
                         yield job
 
 
+def planned(study: Settings) -> dict[str, int]:
+    """How many repeats of each set the queue asks for."""
+    most = dict.fromkeys(study["sets"], 0)
+    for step in study["queue"]:
+        for name in [step["set"]] if isinstance(step["set"], str) else step["set"]:
+            most[name] = max(most[name], step["repeats"])
+    return most
+
+
 # ---------------------------------------------------------------- tiles
 
 
