@@ -354,7 +354,7 @@ def plot(traces: Traces, points: list[Point], path: Path) -> None:
         axis.set_ylim(bottom=0)
     if points:
         drawing.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3, title="rays a repeat")
-    drawing.savefig(path, metadata={"Date": None})
+    drawing.savefig(path, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     pyplot.close(drawing)
 
 
