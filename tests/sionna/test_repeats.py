@@ -1,7 +1,7 @@
 """`--repeats` of `pipeline/sionna_trace.py`: repeats are independent, their mean and error are what they are called.
 
-The statistics are taken on a small scene, where many repeats and a truth of 160 times their rays cost seconds; benches/RESULTS.md has them on
-tiles of San Jose. Run by `make test-sionna`.
+The statistics are taken on a small scene, where many repeats and a truth of 160 times their rays cost seconds; `benches/label_reliability.py report`
+takes them on tiles of San Jose. Run by `make test-sionna`.
 """
 
 import json
