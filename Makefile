@@ -328,6 +328,14 @@ bench-downsampling: llvm
 	@test -n '$(SCENES)' -a -n '$(TILES)' || { echo "say which: make bench-downsampling SCENES=dir TILES='id id'" >&2; exit 2; }
 	$(SIONNA)/bin/python benches/downsampling.py $(SCENES) $(TILES)
 
+# How sure a coverage hole is: traces what is missing of the study, hours of it, to STORE, and adds what is finished to benches/labels.
+.PHONY: bench-labels
+bench-labels: $(BIN) llvm
+	@test -n '$(STORE)' || { echo "say where traces are kept: make bench-labels STORE=dir" >&2; exit 2; }
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python benches/label_reliability.py trace $(STORE)
+	$(SIONNA)/bin/python benches/label_reliability.py pack $(STORE)
+	$(SIONNA)/bin/python benches/label_reliability.py report
+
 # Training against two programs in PyTorch, and where its time goes. TRAINED names a larger dataset than the fixtures.
 TRAINED ?= $(OUT)/dataset
 TRAIN_BENCH := target/release/train_bench

@@ -21,6 +21,10 @@ import numpy as np
 SIONNA_VERSION = "2.2.0"
 SCHEMA = "radio_map.v1"
 SCENE_SCHEMA = "scene.v1"
+# How metadata call what makes repeats differ (`sionna_repeats`).
+DIRECTION_SHIFT = "random"
+# Places in the hash table of wedges as Sionna has it.
+WEDGE_TABLE = 10_000
 # What `holescout scenes` leaves while it is not finished.
 JOURNALS = ".holescout-build*.jsonl"
 
@@ -33,7 +37,10 @@ class InvalidInput(Exception):
 
 @dataclass(frozen=True)
 class Options:
-    """Parameters of tracing. Lengths in metres, frequency in Hz; None stands for the scene's own value."""
+    """Parameters of tracing. Lengths in metres, frequency in Hz; None stands for the scene's own value.
+
+    `samples` are the rays of one repeat, `rays_per_cell` and `max_samples` those of all of them together.
+    """
 
     cell_m: float | None
     size_m: float | None
@@ -46,6 +53,8 @@ class Options:
     refraction: bool
     diffraction: bool
     seed: int
+    repeats: int = 1
+    wedge_table: int = WEDGE_TABLE
 
 
 @dataclass(frozen=True)
@@ -97,7 +106,7 @@ def farthest_corner_m(position: list[float], size_m: float) -> float:
 
 def choose_samples(options: Options, rx_height_m: float, cell_m: float, size_m: float,
                    positions: list[list[float]]) -> tuple[int, str | None]:
-    """Rays per base station, and a note if they are fewer than the wanted density needs.
+    """Rays per base station in each repeat, and a note if all repeats have fewer than the wanted density needs.
 
     Two significant digits, so that many scenes share a number and with it the kernels compiled for it.
     """
@@ -105,13 +114,14 @@ def choose_samples(options: Options, rx_height_m: float, cell_m: float, size_m: 
         return options.samples, None
     lowest = min(rays_per_cell(1, cell_m, farthest_corner_m(position, size_m), position[2] - rx_height_m)
                  for position in positions)
-    needed = options.rays_per_cell / lowest
+    needed = options.rays_per_cell / lowest / options.repeats
     unit = 10 ** max(0, math.floor(math.log10(needed)) - 1)
     samples = math.ceil(needed / unit) * unit
-    if samples <= options.max_samples:
+    cap = max(1, options.max_samples // options.repeats)
+    if samples <= cap:
         return samples, None
-    return options.max_samples, (
-        f"{options.rays_per_cell:g} rays in the farthest cell need {samples:.1e} samples; the cap of "
+    return cap, (
+        f"{options.rays_per_cell:g} rays in the farthest cell need {samples * options.repeats:.1e} samples; the cap of "
         f"{options.max_samples:.1e} (--max-samples) leaves {options.max_samples * lowest:.2g}")
 
 
@@ -194,6 +204,8 @@ def read_scene(folder: Path, options: Options) -> Scene:
         "scene_sha256": hashlib.sha256((folder / "buildings.ply").read_bytes()).hexdigest(),
         "licence": description["licence"],
         "attribution": description["attribution"],
+        **({"repeats": options.repeats, "direction_shift": DIRECTION_SHIFT} if options.repeats > 1 else {}),
+        **({"wedge_table": options.wedge_table} if options.wedge_table != WEDGE_TABLE else {}),
     }, grid, note)
 
 
@@ -246,12 +258,12 @@ def is_traced(path: Path, metadata: Metadata, overwrite: bool) -> bool:
     return not differences
 
 
-def write_map(path: Path, path_gain: np.ndarray, metadata: Metadata, part_suffix: str) -> None:
+def write_map(path: Path, arrays: dict[str, np.ndarray], metadata: Metadata, part_suffix: str) -> None:
     """Writes a map so that at any time the old one, none, or the whole new one is there."""
     part = path.with_name(f".{path.name}{part_suffix}")
     text = json.dumps(metadata, sort_keys=True, ensure_ascii=False)
     with part.open("wb") as file:
-        np.savez_compressed(file, path_gain=path_gain, meta_json=np.frombuffer(text.encode(), dtype=np.uint8))
+        np.savez_compressed(file, **arrays, meta_json=np.frombuffer(text.encode(), dtype=np.uint8))
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)

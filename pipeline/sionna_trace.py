@@ -8,6 +8,16 @@ reads `SCENES/<id>/{scene.json, scene.xml, *.ply}` (schema scene.v1) and writes 
   station, [n, rows, columns] for n. Row 0 is the southernmost and column 0 the westernmost, as Sionna emits it.
 - `meta_json`: metadata (schema radio_map.v1) as UTF-8 in uint8. With n base stations `tx_position_m` is a list of n.
 
+With `--repeats R` each base station is traced R times, independently (`sionna_repeats`); `--repeats` alone means 8, and without it
+there is one trace. Then the file holds of the same shape
+
+- `path_gain`: the mean over the repeats in linear power, cells that a repeat does not reach counted as 0.
+- `path_gain_std_error`: float32, linear, the standard error of that mean: sample standard deviation over sqrt(R).
+- `path_gain_first_half`: float32, linear, the mean over repeats 0 to R/2 - 1; that of the other half is twice `path_gain` less it.
+
+Metadata then have `repeats` (R), `direction_shift` ("random") and `wedge_table`; `samples_per_tx` are the rays of one repeat, so that R
+times as many made the map.
+
 All scenes are traced in one process, so that kernels are compiled once. A map is renamed into place when it is complete and
 on disk; a run that was killed goes on where it was. A map that was traced from another scene or with other parameters is an
 error, unless `--overwrite` replaces it. A map is not bit for bit the same when it is traced again (diffraction adds in the
@@ -17,12 +27,15 @@ What was found in sionna-rt 2.2.0, and why it is called as it is:
 
 - Base stations are traced one by one. In one call they would share a table of 10,000 diffracting wedges, and each would
   spend samples on wedges that only the others see.
-- The table is a hash table that drops a wedge whose place is taken. Of 300 to 3,500 wedges that a base station saw in San Jose and
-  Manhattan 2 to 19 % were lost, and a larger table changed the mean by 0.1 to 0.5 dB, less than the noise of two traces. It is
-  left as Sionna has it, so that maps are those of Sionna.
+- The table is a hash table that drops a wedge whose place is taken, and with it all that it diffracts in this trace. With base stations
+  anywhere 4e6 rays found 6,400 and 5,700 wedges on two tiles of San Jose, of which seven tenths were kept; weak cells came out 1.2 dB
+  lower in the mean (benches/RESULTS.md). More rays find more wedges and lose more. A single trace leaves it as Sionna has it, so that
+  maps are those of Sionna; repeats take a table of 1,000,000 places, which costs 3 to 4 % of time.
 - Directions of rays are a Fibonacci lattice that depends on the number of samples alone; `seed` moves diffraction only (and, with
-  refraction, what is refracted and what reflected). So runs with other seeds cannot be averaged into a better map. They need
-  not: the solver is one fused loop, and 2e7 samples take no more memory than 1e5 (about 200 MB on a CPU).
+  refraction, what is refracted and what reflected). So runs with other seeds cannot be averaged into a better map; repeats
+  shift the lattice. More rays in one trace cost nothing but time: the solver is one fused loop, and 2e7 samples take no more
+  memory than 1e5 (about 200 MB on a CPU).
+- The solver's module calls `fibonacci_lattice` by its global name, once a trace: that is what repeats replace.
 - Wedges are found by shared vertices. Scenes of Holescout share them within a building and never between two; therefore
   `remove_duplicate_vertices` stays off: it would weld buildings that touch, and edges where four faces meet diffract
   wrongly. A scene most of whose edges are open is refused, for it would be traced without diffraction; a few are told.
@@ -36,6 +49,7 @@ an existing map does not fit. Tasks (`--task-count`) say 42 instead of 2 and 3: 
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -49,7 +63,9 @@ from xml.etree import ElementTree
 import numpy as np
 from sionna_files import (
     SIONNA_VERSION,
+    WEDGE_TABLE,
     InvalidInput,
+    Metadata,
     Options,
     Scene,
     find_scenes,
@@ -58,6 +74,7 @@ from sionna_files import (
     sionna_version,
     write_map,
 )
+from sionna_repeats import Moments, Shift, shift_of, shifted_directions, wedge_table
 from sionna_tasks import PERMANENT, Busy, add_arguments, locked, part_suffix, task_of
 
 VARIANTS = ("cuda_ad_mono_polarized", "llvm_ad_mono_polarized")
@@ -66,6 +83,10 @@ LLVM_VERSION = 19
 LLVM_FOLDERS = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib")
 # Rays are counted in 32 bits.
 MOST_SAMPLES = 2**32 - 1
+# Of 6,400 wedges that a base station of San Jose sees, Sionna's table keeps seven tenths; this one loses fewer than 1 %, for 3 to 4 % of time.
+REPEATED_WEDGE_TABLE = 1_000_000
+# What --repeats without a number means.
+REPEATS = 8
 # Share of edges without an opposite face that is told, but let pass: where a building touches itself.
 OPEN_EDGES = 0.01
 # What a bad scene may raise, here and in Sionna. It must not cost the other scenes their maps.
@@ -113,8 +134,8 @@ class Tracer:
         self.solver = RadioMapSolver()
         self.array = PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
 
-    def trace(self, scene: Scene) -> np.ndarray:
-        """Path gain, [rows, columns] or [base stations, rows, columns], linear float32.
+    def trace(self, scene: Scene) -> dict[str, np.ndarray]:
+        """The arrays of a map by their names, each [rows, columns] or [base stations, rows, columns], linear float32.
 
         Raises InvalidInput if Sionna understands the scene otherwise than it is meant, or a base station is in a building.
         """
@@ -125,15 +146,36 @@ class Tracer:
         loaded.frequency = scene.metadata["frequency_hz"]
         loaded.tx_array = self.array
         maps = []
-        for position in scene.base_stations:
+        for index, position in enumerate(scene.base_stations):
             loaded.add(Transmitter("base-station", position=position))
-            maps.append(self.solve(loaded, scene))
+            maps.append(self.repeat(loaded, scene, index))
             loaded.remove("base-station")
-        return maps[0] if len(maps) == 1 else np.stack(maps)
+        return {name: values if len(maps) == 1 else np.stack([found[name] for found in maps]) for name, values in maps[0].items()}
 
-    def solve(self, loaded: Any, scene: Scene) -> np.ndarray:
-        """Path gain of the one base station of a scene of Sionna, [rows, columns]."""
+    def repeat(self, loaded: Any, scene: Scene, base_station: int) -> dict[str, np.ndarray]:
+        """The arrays of the one base station of a scene of Sionna, [rows, columns]; without repeats Sionna's own directions."""
+        repeats = scene.metadata.get("repeats", 1)
+        if repeats == 1:
+            return {"path_gain": self.solve(loaded, scene)}
+        moments = Moments(repeats)
+        for repeat in range(repeats):
+            moments.add(self.solve(loaded, scene, shift_of(scene.metadata["seed"], scene.ident, base_station, repeat)))
+        return moments.arrays()
+
+    def solve(self, loaded: Any, scene: Scene, shift: Shift | None = None) -> np.ndarray:
+        """Path gain of the one base station of a scene of Sionna, [rows, columns], float32; in shifted directions if told so."""
         metadata = scene.metadata
+        shifted = shifted_directions(shift, metadata["samples_per_tx"]) if shift else contextlib.nullcontext()
+        with shifted, wedge_table(metadata.get("wedge_table", WEDGE_TABLE)):
+            path_gain = self.call(loaded, metadata, shift.seed if shift else metadata["seed"])
+        if path_gain.shape != (1, scene.grid, scene.grid):
+            raise InvalidInput(f"expected a map of {scene.grid} x {scene.grid} cells, Sionna gave {path_gain.shape}")
+        if not (np.isfinite(path_gain).all() and (path_gain >= 0).all()):
+            raise InvalidInput("expected path gains of 0 or more, Sionna gave others")
+        return path_gain[0].astype(np.float32)
+
+    def call(self, loaded: Any, metadata: Metadata, seed: int) -> np.ndarray:
+        """What Sionna gives for a scene with these metadata."""
         radio_map = self.solver(
             loaded,
             center=[0.0, 0.0, metadata["rx_height_m"]],
@@ -144,14 +186,9 @@ class Tracer:
             max_depth=metadata["max_depth"],
             refraction=metadata["refraction"],
             diffraction=metadata["diffraction"],
-            seed=metadata["seed"],
+            seed=seed,
         )
-        path_gain = radio_map.path_gain.numpy()
-        if path_gain.shape != (1, scene.grid, scene.grid):
-            raise InvalidInput(f"expected a map of {scene.grid} x {scene.grid} cells, Sionna gave {path_gain.shape}")
-        if not (np.isfinite(path_gain).all() and (path_gain >= 0).all()):
-            raise InvalidInput("expected path gains of 0 or more, Sionna gave others")
-        return path_gain[0].astype(np.float32)
+        return radio_map.path_gain.numpy()
 
 
 def check_loaded(loaded: Any, scene: Scene) -> None:
@@ -209,11 +246,16 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--cell", type=positive(float), metavar="M", help="side of a cell [map_cell_m of the scene]")
     parser.add_argument("--size", type=positive(float), metavar="M", help="side of the map [map_size_m of the scene]")
     parser.add_argument("--samples", type=positive(int), metavar="N",
-                        help="rays per base station [as many as --rays-per-cell needs]")
+                        help="rays per base station in each repeat [as many as --rays-per-cell needs]")
+    parser.add_argument("--repeats", type=positive(int), nargs="?", default=1, const=REPEATS, metavar="R",
+                        help="independent traces of each base station, an even number, %(const)s if it is left out: the map holds "
+                             "their mean, its standard error and the mean of their first half "
+                             "[%(default)s: a single trace in Sionna's own directions]")
     parser.add_argument("--rays-per-cell", type=positive(float), default=10.0, metavar="X",
-                        help="expected line-of-sight rays in the cell that is farthest from the base station [%(default)g]")
+                        help="expected line-of-sight rays in the cell that is farthest from the base station, of all "
+                             "repeats together [%(default)g]")
     parser.add_argument("--max-samples", type=positive(int), default=100_000_000, metavar="N",
-                        help="cap of the rays that --rays-per-cell asks for; it is told when it binds [1e8]")
+                        help="cap of the rays that --rays-per-cell asks for, of all repeats together; it is told when it binds [1e8]")
     parser.add_argument("--max-depth", type=int, default=5, metavar="N", help="most interactions of a path [%(default)s]")
     parser.add_argument("--frequency", type=positive(float), default=3.5e9, metavar="HZ", help="carrier [3.5e9]")
     parser.add_argument("--tx-power-dbm", type=float, default=15.0, metavar="DBM",
@@ -222,7 +264,10 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
                         help="paths through walls; Sionna takes a building as hollow [off]")
     parser.add_argument("--diffraction", action=argparse.BooleanOptionalAction, default=True,
                         help="paths around edges [on]")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of diffraction [%(default)s]")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of diffraction and of what differs between repeats [%(default)s]")
+    parser.add_argument("--wedge-table", type=positive(int), metavar="N",
+                        help=f"places in the table of diffracting wedges; wedges whose place is taken are lost "
+                             f"[{WEDGE_TABLE} as Sionna has it, {REPEATED_WEDGE_TABLE} with repeats]")
     parser.add_argument("--variant", choices=VARIANTS, help="Mitsuba's variant [CUDA if there is a device, else LLVM]")
     parser.add_argument("--overwrite", action="store_true", help="replace maps of other scenes or parameters")
     parser.add_argument("--json", action="store_true", help="end standard output with one line for scripts")
@@ -234,6 +279,8 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
         parser.error(str(error))
     if max(parsed.samples or 0, parsed.max_samples) > MOST_SAMPLES:
         parser.error(f"Sionna counts rays in 32 bits: at most {MOST_SAMPLES} samples")
+    if parsed.repeats > 1 and parsed.repeats % 2:
+        parser.error(f"--repeats {parsed.repeats}: expected an even number, for one half is held against the other")
     if parsed.max_depth < 0 or parsed.seed < 0:
         parser.error("--max-depth and --seed must be 0 or more")
     return parsed
@@ -253,6 +300,8 @@ def options_of(parsed: argparse.Namespace) -> Options:
         refraction=parsed.refraction,
         diffraction=parsed.diffraction,
         seed=parsed.seed,
+        repeats=parsed.repeats,
+        wedge_table=parsed.wedge_table or (REPEATED_WEDGE_TABLE if parsed.repeats > 1 else WEDGE_TABLE),
     )
 
 

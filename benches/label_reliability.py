@@ -1,0 +1,166 @@
+"""How sure is a coverage hole? Repeated traces of tiles of San Jose, held against many more rays.
+
+    label_reliability.py trace STORE     makes tiles and scenes, then traces the queue of benches/labels/study.toml; goes on where it was
+    label_reliability.py status STORE    how much of the queue is traced
+    label_reliability.py pack STORE      adds finished repeats of all their tiles to benches/labels (--partial: unfinished ones as well)
+    label_reliability.py maps STORE OUT  writes the means of the long traces as maps for `holescout import-rsrp`
+    label_reliability.py report          tables and plot from benches/labels
+
+`trace` needs HOLESCOUT (the program) and HOLESCOUT_DATA (a folder with osm/sanjose_buildings.osm.pbf) once, for tiles and scenes.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from label_packs import FOLDER, REFERENCE, levels_of, load_pack, outdoor_of, save_pack, save_tiles
+from label_report import LONG, report
+from label_store import SCENE_KEYS, Job, Settings, prepare, queue, read_study, read_tiles, scene_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "pipeline"))
+from sionna_files import WEDGE_TABLE, InvalidInput, Metadata, Options, Scene, read_metadata, read_scene, write_map
+from sionna_repeats import Moments, shift_of
+from sionna_trace import Tracer, check_loaded, say, start_sionna
+
+
+def scene_for(store: Path, job: Job, settings: Settings) -> Scene:
+    """What a job traces."""
+    options = Options(cell_m=4.0, size_m=484.0, samples=settings["samples"], rays_per_cell=1.0, max_samples=settings["samples"],
+                      max_depth=settings.get("max_depth", 5), frequency_hz=3.5e9, tx_power_dbm=15.0, refraction=False,
+                      diffraction=settings.get("diffraction", True), seed=settings["seed"],
+                      wedge_table=settings.get("wedge_table", WEDGE_TABLE))
+    return read_scene(scene_of(store, job.set, settings, job.tile), options)
+
+
+def trace_one(tracer: Tracer, store: Path, job: Job, settings: Settings) -> float:
+    """Traces and keeps one job; returns the seconds that the solver took."""
+    from sionna.rt import Transmitter, load_scene
+
+    scene = scene_for(store, job, settings)
+    loaded = load_scene(str(scene.xml.resolve()), merge_shapes=False)
+    check_loaded(loaded, scene)
+    loaded.frequency = scene.metadata["frequency_hz"]
+    loaded.tx_array = tracer.array
+    loaded.add(Transmitter("base-station", position=scene.base_stations[0]))
+    shift = shift_of(settings["seed"], job.tile, 0, job.repeat)
+    wall, cpu = time.monotonic(), time.process_time()
+    path_gain = tracer.solve(loaded, scene, shift)
+    cost = {"wall_s": round(time.monotonic() - wall, 2), "cpu_s": round(time.process_time() - cpu, 2), "load": os.getloadavg()[0]}
+    path = job.path(store)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    kept = {key: settings[key] for key in SCENE_KEYS if key in settings}
+    arrays = {"path_gain": path_gain, "cost_json": np.frombuffer(json.dumps(cost).encode(), dtype=np.uint8)}
+    write_map(path, arrays, scene.metadata | kept | {"repeat": job.repeat, "direction_shift": "random"}, ".part")
+    return cost["wall_s"]
+
+
+def trace(store: Path) -> None:
+    """Traces all that is missing of the queue."""
+    if not (store / "tiles.json").exists():
+        prepare(store, Path(os.environ["HOLESCOUT"]), Path(os.environ["HOLESCOUT_DATA"]) / "osm" / read_study()["tiles"]["extract"])
+    tiles = read_tiles(store)
+    start_sionna(None)
+    tracer = Tracer()
+    while True:
+        # Read anew each time, so that the order may be changed while it runs.
+        study = read_study()
+        job = next((job for job in queue(study, tiles) if not job.path(store).exists()), None)
+        if job is None:
+            return
+        seconds = trace_one(tracer, store, job, study["sets"][job.set])
+        say(f"{time.strftime('%H:%M:%S')} {job.set} {job.tile} {job.repeat}: {seconds:.1f} s")
+
+
+def status(store: Path) -> None:
+    """Prints how many traces of each set are there."""
+    study, tiles = read_study(), read_tiles(store)
+    wanted, there = Counter(), Counter()
+    for job in queue(study, tiles):
+        wanted[job.set] += 1
+        there[job.set] += job.path(store).exists()
+    for name, count in wanted.items():
+        print(f"{name:16} {there[name]:4} of {count:4} traces of {study['sets'][name]['samples']:.3g} rays")
+
+
+def load_trace(path: Path) -> tuple[np.ndarray, dict[str, float]]:
+    """Path gain and cost of a kept trace."""
+    with np.load(path) as archive:
+        return archive["path_gain"], json.loads(archive["cost_json"].tobytes())
+
+
+def pack(store: Path, partial: bool) -> None:
+    """Writes what is finished and not packed yet."""
+    study = read_study()
+    described = json.loads((store / "tiles.json").read_text())
+    masks = {tile["id"]: outdoor_of(np.load(store / "tiles" / f"{tile['id']}.npz")["height_m"]) for tile in described}
+    save_tiles(masks, {tile["id"]: tile["built"] for tile in described})
+    # A repeat is whole when it has all tiles of the first step of the queue that asks for it.
+    wanted: dict[tuple[str, int], list[Job]] = {}
+    for step in study["queue"]:
+        of_step: dict[tuple[str, int], list[Job]] = {}
+        for job in queue({"queue": [step]}, list(masks)):
+            of_step.setdefault((job.set, job.repeat), []).append(job)
+        wanted = of_step | wanted
+    reference: dict[str, np.ndarray] = {}
+    for (name, repeat), jobs in sorted(wanted.items(), key=lambda item: f"{item[0][0]}-{item[0][1]}" != REFERENCE):
+        path = FOLDER / f"{name}-{repeat}.xz"
+        there = [job for job in jobs if job.path(store).exists()]
+        packed = set(load_pack(path, reference)[1]) if path.exists() else set()
+        is_worth_it = len(there) == len(jobs) or partial
+        if is_worth_it and {job.tile for job in there} - packed:
+            levels, costs = {}, {}
+            for job in there:
+                path_gain, costs[job.tile] = load_trace(job.path(store))
+                # Maps begin in the south, masks in the north.
+                levels[job.tile] = levels_of(path_gain[::-1][masks[job.tile]])
+            print(f"{path.name}: {len(levels)} tiles, {save_pack(path.stem, levels, costs, reference)} bytes")
+        if path.stem == REFERENCE and path.exists():
+            reference = load_pack(path, {})[0]
+
+
+def same_settings(found: list[tuple[Path, Metadata]]) -> Metadata:
+    """Metadata that repeats have in common. Raises InvalidInput if they differ in more than which repeat they are."""
+    (first, common), *others = [(path, {key: value for key, value in metadata.items() if key != "repeat"}) for path, metadata in found]
+    for path, metadata in others:
+        if differences := [f"{key} {metadata.get(key)} instead of {common.get(key)}" for key in sorted(metadata.keys() | common.keys())
+                           if metadata.get(key) != common.get(key)]:
+            raise InvalidInput(f"{path} is no repeat of {first}: {'; '.join(differences)}")
+    return common
+
+
+def maps(store: Path, out: Path) -> None:
+    """Writes a map of each tile: the mean of an even number of long traces, with its error."""
+    out.mkdir(parents=True, exist_ok=True)
+    for tile in read_tiles(store):
+        paths = sorted((store / "traces" / LONG).glob(f"{tile}-*.npz"))
+        paths = paths[: len(paths) // 2 * 2]
+        if not paths:
+            continue
+        metadata = same_settings([(path, read_metadata(path)) for path in paths]) | {"repeats": len(paths)}
+        moments = Moments(len(paths))
+        for path in paths:
+            moments.add(load_trace(path)[0])
+        write_map(out / f"{tile}.npz", moments.arrays(), metadata, ".part")
+
+
+def main() -> None:
+    """Runs the command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("trace", "status", "pack", "maps"):
+        commands.add_parser(name).add_argument("store", type=Path)
+    commands.choices["pack"].add_argument("--partial", action="store_true")
+    commands.choices["maps"].add_argument("out", type=Path)
+    commands.add_parser("report")
+    arguments = vars(parser.parse_args())
+    command = {"trace": trace, "status": status, "pack": pack, "maps": maps, "report": report}[arguments.pop("command")]
+    command(**arguments)
+
+
+if __name__ == "__main__":
+    main()
