@@ -16,12 +16,11 @@ use holescout::grid::{Area, TileId, Window};
 use holescout::osm::read_buildings;
 use holescout::progress::Silent;
 use holescout::rasterise::{HeightGrid, rasterise_tile};
-use holescout::store::{NpzReader, read_npy};
 use ndarray::Array2;
 use serde::Deserialize;
 use serde_json::Value;
 
-use common::{INVALID_INPUT, Run, fixture, pbf, read, run, scratch};
+use common::{INVALID_INPUT, Run, fixture, pbf, read, run, scratch, tile_grids};
 
 /// The tile of the paper's lattice (spacing 512 m) that holds the whole site, and a box
 /// around its centre that holds the centre of no other.
@@ -164,17 +163,6 @@ fn listed_defects(out: &Path) -> BTreeMap<String, u64> {
     counts
 }
 
-/// `height_m` and `height_source` of the tile that was written.
-fn grids(out: &Path) -> (Array2<f32>, Array2<u8>) {
-    let path = out.join(format!("{TILE}.npz"));
-    let mut archive = NpzReader::open(&path, 1 << 24).expect("the tile was written");
-    let heights = archive.member("height_m").expect("tiles hold heights");
-    let sources = archive.member("height_source").expect("tiles hold sources");
-    let heights = read_npy(&heights).and_then(|npy| npy.to_array2());
-    let sources = read_npy(&sources).and_then(|npy| npy.to_array2());
-    (heights.expect("heights are float32"), sources.expect("sources are uint8"))
-}
-
 /// The cell at a place.
 fn cell_at(window: &Window, [easting, northing]: [f64; 2]) -> [usize; 2] {
     let inside = |offset: f64| {
@@ -217,7 +205,7 @@ fn check_counts(case: &Case, summary: &Value, out: &Path, check: &mut Check<'_>)
 }
 
 fn check_cells(case: &Case, out: &Path, check: &mut Check<'_>) {
-    let (heights, sources) = grids(out);
+    let (heights, sources) = tile_grids(&out.join(format!("{TILE}.npz")));
     let tile: TileId = TILE.parse().expect("an id");
     let window = Window::around(tile, 1.0, SIDE_M as usize);
     for probe in &case.probes {

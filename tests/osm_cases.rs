@@ -8,12 +8,11 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use holescout::grid::{TileId, Window};
-use holescout::store::{NpzReader, read_npy};
 use ndarray::Array2;
 use serde::Deserialize;
 use serde_json::Value;
 
-use common::{Run, fixture, read, run, scratch};
+use common::{Run, fixture, read, run, scratch, tile_grids};
 
 /// Heights are stored as float32.
 const TOLERANCE_M: f64 = 0.005;
@@ -68,12 +67,7 @@ fn tiles(out: &Path, manifest: &Value) -> Vec<Tile> {
         let [lon, lat] = id.lon_lat();
         assert!(lon.abs() <= 180.0 && lat.abs() <= 90.0, "{id}: {lon} {lat}");
         let path = out.join(entry["file"].as_str().expect("a name"));
-        let mut npz = NpzReader::open(&path, 1 << 24).expect("a tile");
-        let height_m = npz.member("height_m").expect("tiles hold heights");
-        let height_source = npz.member("height_source").expect("tiles hold sources");
-        let height_m = read_npy(&height_m).and_then(|npy| npy.to_array2()).expect("float32");
-        let height_source = read_npy(&height_source).and_then(|npy| npy.to_array2());
-        let height_source = height_source.expect("uint8");
+        let (height_m, height_source) = tile_grids(&path);
         Tile { window: Window::around(id, 1.0, 1080), height_m, height_source }
     };
     entries.iter().map(tile).collect()

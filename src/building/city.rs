@@ -7,7 +7,7 @@ use geo::{Area, BooleanOps, BoundingRect, Rect};
 use rayon::prelude::*;
 
 use super::prism::{Prism, prisms_of};
-use super::{Attributes, Building, Kind, ObjectId};
+use super::{Building, Kind, ObjectId, Told};
 use crate::config::BuildingsConfig;
 use crate::grid::BoxIndex;
 
@@ -82,13 +82,14 @@ impl City {
             first_prism: vec![0],
             flight_height_m: config.flight_height_m,
         };
-        let all: Vec<usize> = (0..city.buildings.len()).collect();
-        let prisms: Vec<(Vec<Prism>, Vec<u32>)> = all
+        let prisms: Vec<(Vec<Prism>, Vec<u32>)> = city
+            .buildings
             .par_chunks(CHUNK)
-            .map(|chunk| {
+            .enumerate()
+            .map(|(index, chunk)| {
                 let (mut prisms, mut ends) = (Vec::with_capacity(chunk.len()), Vec::new());
-                for &at in chunk {
-                    prisms_of(&city, at, &mut prisms);
+                for at in 0..chunk.len() {
+                    prisms_of(&city, index * CHUNK + at, &mut prisms);
                     ends.push(prisms.len() as u32);
                 }
                 (prisms, ends)
@@ -229,26 +230,20 @@ fn outlines_at(buildings: &[Building], index: &BoxIndex, part: usize) -> Vec<u32
 /// What a part does not tell it takes from the first of its outlines that tells a top above the
 /// part's bottom. If all that tell one end below, the part is a level high: where it begins is known.
 fn inherit(buildings: &mut [Building], part: usize, outlines: &[u32], level_height_m: f32) {
-    let Attributes { source, min_height_m, .. } = buildings[part].attributes;
-    if source.is_known() {
-        return;
+    let min_height_m = buildings[part].attributes.min_height_m;
+    let told = outlines.iter().filter_map(|&at| buildings[at as usize].attributes.told());
+    let above = told.clone().find(|told| told.height_m > min_height_m);
+    let a_level = |told: Told| Told { height_m: min_height_m + level_height_m, ..told };
+    let height = above.or_else(|| told.clone().next().map(a_level));
+    if let Some(told) = height {
+        buildings[part].attributes.inherit(told);
     }
-    let told = outlines.iter().map(|&outline| buildings[outline as usize].attributes);
-    let told = || told.clone().filter(|outline| outline.source.is_known());
-    let above = told().find(|outline| outline.height_m > min_height_m);
-    let (height_m, source) = match (above, told().next()) {
-        (Some(Attributes { height_m, source, .. }), _) => (height_m, source),
-        (None, Some(Attributes { source, .. })) => (min_height_m + level_height_m, source),
-        (None, None) => return,
-    };
-    let attributes = &mut buildings[part].attributes;
-    (attributes.height_m, attributes.source) = (height_m, source);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::building::HeightSource;
+    use crate::building::{Attributes, HeightSource};
     use geo::{MultiPolygon, coord};
 
     /// A rectangle from a place on, 10 m high to the north.

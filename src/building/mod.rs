@@ -10,7 +10,9 @@ pub use city::{City, Named};
 pub use defect::{Action, Defect, Problem};
 pub use height::{HeightSource, parse_length, parse_levels};
 pub use prism::{Limits, Prism};
-pub use tags::{Attributes, BUILDING, BUILDING_PART, Classified, Kind, classify, told_height};
+pub use tags::{
+    Attributes, BUILDING, BUILDING_PART, Classified, Kind, Told, classify, told_height,
+};
 
 use std::fmt;
 

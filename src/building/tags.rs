@@ -37,6 +37,41 @@ pub struct Attributes {
     pub raised: bool,
 }
 
+/// A height that tags tell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Told {
+    /// Height of the top over the ground, in metres.
+    pub height_m: f32,
+    /// Which tag told it.
+    pub source: HeightSource,
+}
+
+impl Told {
+    /// Of several heights the best known one, of equally known ones the highest.
+    pub fn best(heights: impl IntoIterator<Item = Self>) -> Option<Self> {
+        let better = |a: &Self, b: &Self| {
+            a.source.cmp(&b.source).then_with(|| b.height_m.total_cmp(&a.height_m))
+        };
+        heights.into_iter().min_by(better)
+    }
+}
+
+impl Attributes {
+    /// The height, if it is no guess.
+    #[must_use]
+    pub fn told(&self) -> Option<Told> {
+        let Self { height_m, source, .. } = *self;
+        source.is_known().then_some(Told { height_m, source })
+    }
+
+    /// Takes a height of another object for one that is guessed, unless it ends below the bottom.
+    pub fn inherit(&mut self, told: Told) {
+        if !self.source.is_known() && told.height_m > self.min_height_m {
+            (self.height_m, self.source) = (told.height_m, told.source);
+        }
+    }
+}
+
 /// The verdict on an object's tags.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Classified {
@@ -67,20 +102,18 @@ pub fn classify<'a>(tag: impl Fn(&str) -> Option<&'a str>, config: &BuildingsCon
     }
     let mut defects = Vec::new();
     let min_height_m = min_height(&tag, config, &mut defects);
-    let (height_m, source) = told_height(&tag, min_height_m, config, &mut defects)
-        .unwrap_or_else(|| (guess(value, min_height_m, config), HeightSource::Default));
+    let told = told_height(&tag, min_height_m, config, &mut defects);
+    let Told { height_m, source } = told.unwrap_or_else(|| Told {
+        height_m: guess(value, min_height_m, config) as f32,
+        source: HeightSource::Default,
+    });
     let raised = value == "roof" || min_height_m > config.flight_height_m;
-    let attributes = Attributes {
-        kind,
-        height_m: height_m as f32,
-        source,
-        min_height_m: min_height_m as f32,
-        raised,
-    };
+    let attributes =
+        Attributes { kind, height_m, source, min_height_m: min_height_m as f32, raised };
     Classified::Building(attributes, defects)
 }
 
-/// Height of the top in metres as an object tells it itself: `height`, else levels and roof. What
+/// Height of the top as an object tells it itself: `height`, else levels and roof. What
 /// would end below the bottom is refused.
 ///
 /// Also for ways that carry no building tag: a relation inherits the height that was left on its
@@ -90,7 +123,7 @@ pub fn told_height<'a>(
     min_height_m: f64,
     config: &BuildingsConfig,
     defects: &mut Vec<Defect>,
-) -> Option<(f64, HeightSource)> {
+) -> Option<Told> {
     // The bounds hold for the stored type too: nothing positive may become 0 as float32.
     let plausible = |height: f64| (height as f32) > 0.0 && height <= config.max_height_m;
     let mut judged = |height: Option<f64>| {
@@ -103,11 +136,12 @@ pub fn told_height<'a>(
         None
     };
     if let Some(height) = tag("height").and_then(|text| judged(parse_length(text))) {
-        return Some((height, HeightSource::Height));
+        return Some(Told { height_m: height as f32, source: HeightSource::Height });
     }
     let levels = parse_levels(tag("building:levels")?);
     let height = levels.map(|levels| levels * config.level_height_m + roof(tag, config));
-    judged(height).map(|height| (height, HeightSource::Levels))
+    let height = judged(height)?;
+    Some(Told { height_m: height as f32, source: HeightSource::Levels })
 }
 
 /// A height by type of building in metres; what begins high is at least a level high.

@@ -10,11 +10,11 @@ use super::footprint::{self, Nested, Ring, Role};
 use super::nodes::NodeTable;
 use super::rings::{Rings, assemble};
 use super::scan::{RawRelation, RawWay};
-use crate::building::Defect;
+use crate::building::{Defect, Told};
 use crate::crs::Utm;
 
 /// Relations within relations within relations ...: nobody needs more.
-const MAX_DEPTH: usize = 8;
+pub(super) const MAX_DEPTH: usize = 8;
 
 /// What relations refer to.
 pub(super) struct Members {
@@ -81,9 +81,7 @@ pub(super) fn relation_footprint(
         defects.push(Defect::UnclosedRing);
     }
     for (refs, ways, role) in closed {
-        // Of several ways around one ring the best known height counts, of equally known the highest.
-        let told = ways.iter().filter_map(|way| way.height_m);
-        let told = told.min_by(|a, b| a.1.cmp(&b.1).then(b.0.total_cmp(&a.0)));
+        let told = Told::best(ways.iter().filter_map(|way| way.told));
         match projector.ring(&refs, defects) {
             Ok(line) => rings.push(Ring { line, role, told }),
             Err(defect) => defects.push(defect),

@@ -3,16 +3,16 @@
 
 use std::collections::{HashMap, HashSet};
 
-use geo::{MultiPolygon, Polygon};
+use geo::{LineString, MultiPolygon, Polygon};
 use rayon::prelude::*;
 
 use super::assemble::{Members, Projector, member_ways, relation_footprint, way_footprint};
 use super::block::MemberId;
 use super::footprint::{Nested, Piece};
 use super::scan::{RawRelation, RawWay, RelationKind};
-use crate::building::{Attributes, Building, Defect, HeightSource, Kind, Named, ObjectId, Problem};
+use crate::building::{Attributes, Building, Defect, Kind, Named, ObjectId, Problem, Told};
 
-/// The objects that became no or several buildings, and those that did.
+/// The buildings of all extracts.
 pub(super) struct Found {
     /// Ways first, each in the order of the files; the pieces of a relation follow each other.
     pub(super) buildings: Vec<Building>,
@@ -24,8 +24,8 @@ pub(super) struct Found {
 struct Group {
     outlines: Vec<ObjectId>,
     parts: Vec<ObjectId>,
-    /// A height in metres that the relation tells.
-    told: Option<(f32, HeightSource)>,
+    /// A height that the relation tells.
+    told: Option<Told>,
 }
 
 /// What a relation becomes.
@@ -33,7 +33,7 @@ struct Built {
     buildings: Vec<Building>,
     problems: Vec<Problem>,
     /// Its outer rings, as they were drawn.
-    outers: Vec<geo::LineString<f64>>,
+    outers: Vec<LineString<f64>>,
 }
 
 /// Footprints of all objects, in parallel and in order.
@@ -44,14 +44,7 @@ pub(super) fn build(
     projector: &Projector<'_>,
     problems: &mut Vec<Problem>,
 ) -> Found {
-    let multipolygons = relations.iter().filter(|relation| {
-        relation.kind == RelationKind::Multipolygon && relation.attributes.is_some()
-    });
-    let tagged: HashSet<ObjectId> = ways
-        .iter()
-        .map(|way| ObjectId::Way(way.id))
-        .chain(multipolygons.map(|relation| ObjectId::Relation(relation.id)))
-        .collect();
+    let tagged = tagged_outlines(ways, relations);
     let from_relations: Vec<Built> = relations
         .par_iter()
         .map(|relation| build_relation(relation, &tagged, members, projector))
@@ -99,6 +92,18 @@ pub(super) fn build(
         parts.flat_map(|&part| group.outlines.iter().map(move |&outline| Named { outline, part }))
     });
     Found { buildings, named: named.collect() }
+}
+
+/// The outlines of relations `type=building` that carry building tags themselves.
+fn tagged_outlines(ways: &[RawWay], relations: &[RawRelation]) -> HashSet<ObjectId> {
+    let of_kind =
+        |kind: RelationKind| relations.iter().filter(move |relation| relation.kind == kind);
+    let outlines = of_kind(RelationKind::Building).flat_map(|relation| &relation.members);
+    let outlines: HashSet<ObjectId> = outlines.map(|(member, _)| object(*member)).collect();
+    let ways = ways.iter().map(|way| ObjectId::Way(way.id));
+    let multipolygons = of_kind(RelationKind::Multipolygon);
+    let multipolygons = multipolygons.map(|relation| ObjectId::Relation(relation.id));
+    ways.chain(multipolygons).filter(|object| outlines.contains(object)).collect()
 }
 
 fn object(member: MemberId) -> ObjectId {
@@ -162,7 +167,7 @@ fn by_height(object: ObjectId, attributes: Attributes, pieces: Vec<Piece>) -> Ve
     for Piece { polygon, told } in pieces {
         let mut attributes = attributes;
         if let Some(told) = told {
-            take(&mut attributes, told);
+            attributes.inherit(told);
         }
         let same = buildings.iter_mut().find(|building| building.attributes == attributes);
         if let Some(building) = same {
@@ -175,13 +180,6 @@ fn by_height(object: ObjectId, attributes: Attributes, pieces: Vec<Piece>) -> Ve
     // The best known one first: it stands for the object where that is counted.
     buildings.sort_by_key(|building| building.attributes.source);
     buildings
-}
-
-/// Takes a height for one that is guessed, unless it ends below the bottom.
-fn take(attributes: &mut Attributes, (height_m, source): (f32, HeightSource)) {
-    if !attributes.source.is_known() && height_m > attributes.min_height_m {
-        (attributes.height_m, attributes.source) = (height_m, source);
-    }
 }
 
 /// Whether a relation stands for one of its member ways that carries building tags itself:
@@ -208,11 +206,10 @@ fn group(relation: &RawRelation, tagged: &HashSet<ObjectId>) -> Group {
     if outlines.is_empty() && relation.attributes.is_some() {
         outlines.push(ObjectId::Relation(relation.id));
     }
-    let told = relation.attributes.filter(|attributes| attributes.source.is_known());
     Group {
         outlines,
         parts: relation.parts.iter().map(|&part| object(part)).collect(),
-        told: told.map(|attributes| (attributes.height_m, attributes.source)),
+        told: relation.attributes.and_then(|attributes| attributes.told()),
     }
 }
 
@@ -224,7 +221,7 @@ fn inherit_from_groups(buildings: &mut [Building], groups: &[Group]) {
     let is_outline = |building: &&Building| building.attributes.kind == Kind::Outline;
     let outlines: HashSet<ObjectId> =
         buildings.iter().filter(is_outline).map(|building| building.object).collect();
-    let mut told: HashMap<ObjectId, (f32, HeightSource)> = HashMap::new();
+    let mut told: HashMap<ObjectId, Told> = HashMap::new();
     for group in groups {
         let Some(height) = group.told else { continue };
         told.extend(group.outlines.iter().map(|&outline| (outline, height)));
@@ -234,7 +231,7 @@ fn inherit_from_groups(buildings: &mut [Building], groups: &[Group]) {
     }
     for building in buildings {
         if let Some(&height) = told.get(&building.object) {
-            take(&mut building.attributes, height);
+            building.attributes.inherit(height);
         }
     }
 }

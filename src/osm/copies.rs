@@ -1,12 +1,12 @@
 //! Of an object that is there more than once, the whole copy: in one extract a building may be cut
 //! at the border that is whole in the next.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 
 use super::block::MemberId;
 use super::nodes::NodeTable;
 use super::scan::{RawRelation, RawWay};
-use crate::building::{Defect, HeightSource, ObjectId, Problem};
+use crate::building::{Defect, ObjectId, Problem, Told};
 
 /// A member way of a relation.
 #[derive(Debug, Clone)]
@@ -15,8 +15,8 @@ pub(super) struct MemberWay {
     pub(super) refs: Vec<i64>,
     /// Where the nodes are, if the file keeps that with the way.
     pub(super) places: Option<Box<[[i32; 2]]>>,
-    /// A height that its tags tell, in metres.
-    pub(super) height_m: Option<(f32, HeightSource)>,
+    /// A height that its tags tell.
+    pub(super) told: Option<Told>,
 }
 
 /// How good a copy of a way is: whether all its nodes are there, its version, how many it has, and,
@@ -84,7 +84,6 @@ fn best<T>(
     }
     let mut at: HashMap<ObjectId, usize> = HashMap::with_capacity(found.len());
     let mut whole: Vec<T> = Vec::with_capacity(found.len());
-    let mut repeated = BTreeSet::new();
     for one in found {
         match at.get(&object(&one)) {
             None => {
@@ -92,14 +91,12 @@ fn best<T>(
                 whole.push(one);
             }
             Some(&other) => {
-                repeated.insert(object(&one));
+                problems.push(Problem::new(object(&one), Defect::DuplicateObject));
                 if is_better(&one, &whole[other]) {
                     whole[other] = one;
                 }
             }
         }
     }
-    let rows = repeated.into_iter().map(|object| Problem::new(object, Defect::DuplicateObject));
-    problems.extend(rows);
     whole
 }

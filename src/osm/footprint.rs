@@ -8,7 +8,7 @@ use geo::{
     Polygon, Rect,
 };
 
-use crate::building::{Defect, HeightSource};
+use crate::building::{Defect, Told};
 
 /// Rings smaller than this are taken for a mistake, in m².
 const MIN_AREA_M2: f64 = 0.01;
@@ -30,20 +30,32 @@ pub(super) enum Role {
     Any,
 }
 
-/// A ring of a relation: closed coordinates in metres, the role of its ways, and the height in metres
-/// that they tell.
+impl Role {
+    /// What a role says of multipolygons; `None` if members of that role are no part of the outline.
+    pub(super) fn of(text: &str) -> Option<Self> {
+        match text {
+            "outer" => Some(Self::Outer),
+            "inner" => Some(Self::Inner),
+            "" => Some(Self::Any),
+            _ => None,
+        }
+    }
+}
+
+/// A ring of a relation: closed coordinates in metres, the role of its ways, and the height that they
+/// tell.
 #[derive(Debug, Clone)]
 pub(super) struct Ring {
     pub(super) line: LineString<f64>,
     pub(super) role: Role,
-    pub(super) told: Option<(f32, HeightSource)>,
+    pub(super) told: Option<Told>,
 }
 
 /// A polygon of a relation, and the height that the ways around it tell.
 #[derive(Debug, Clone)]
 pub(super) struct Piece {
     pub(super) polygon: Polygon<f64>,
-    pub(super) told: Option<(f32, HeightSource)>,
+    pub(super) told: Option<Told>,
 }
 
 /// What the rings of a relation make.
@@ -119,7 +131,6 @@ fn distinct_is_below_three(points: &[Coord<f64>]) -> bool {
 /// A closed walk without the rounds that it makes a second time; `None` if it makes none. Counted
 /// even-odd, two rounds would enclose nothing.
 fn walked_once(points: &[Coord<f64>]) -> Option<Vec<Coord<f64>>> {
-    let key = |point: &Coord<f64>| (point.x.to_bits(), point.y.to_bits());
     if !repeats(&points[1..]) {
         return None;
     }
@@ -135,9 +146,7 @@ fn walked_once(points: &[Coord<f64>]) -> Option<Vec<Coord<f64>>> {
             }
             // A bit of wall walked back and forth encloses nothing.
             if round.len() > 2 {
-                let mut corners: Vec<_> = round.iter().map(key).collect();
-                corners.sort_unstable();
-                if known.insert(corners) {
+                if known.insert(corners(&round)) {
                     loops.push(round);
                 } else {
                     again = true;
@@ -166,7 +175,19 @@ fn repeats(points: &[Coord<f64>]) -> bool {
         return points.iter().enumerate().any(|(at, point)| points[..at].contains(point));
     }
     let mut seen = HashSet::with_capacity(points.len());
-    points.iter().any(|point| !seen.insert((point.x.to_bits(), point.y.to_bits())))
+    points.iter().any(|point| !seen.insert(key(point)))
+}
+
+/// A point as something that can be looked up.
+fn key(point: &Coord<f64>) -> (u64, u64) {
+    (point.x.to_bits(), point.y.to_bits())
+}
+
+/// The corners of a ring, wherever it begins and whichever way it goes.
+fn corners(points: &[Coord<f64>]) -> Vec<(u64, u64)> {
+    let mut corners: Vec<_> = points.iter().map(key).collect();
+    corners.sort_unstable();
+    corners
 }
 
 /// Nests the rings of a relation to polygons. Where a ring lies decides what it is; roles
@@ -285,9 +306,9 @@ impl Shapes {
                 may_be_outer
                     && self.boxes_meet(ring, outer)
                     && (role == Role::Inner || self.areas[ring] < self.areas[outer])
-                    && self.shared_m2(ring, outer) > least
                     && !self.inside(ring, outer)
                     && !self.inside(outer, ring)
+                    && self.shared_m2(ring, outer) > least
             })
     }
 
@@ -313,7 +334,6 @@ impl Shapes {
 
 /// Whether two rings have two or more points in common.
 fn share_nodes(one: &Polygon<f64>, other: &Polygon<f64>) -> bool {
-    let key = |point: &Coord<f64>| (point.x.to_bits(), point.y.to_bits());
     let points: HashSet<_> = one.exterior().0[1..].iter().map(key).collect();
     other.exterior().0[1..].iter().filter(|point| points.contains(&key(point))).count() > 1
 }
@@ -337,8 +357,7 @@ fn even_odd(pieces: Vec<Piece>, outers: &[usize], shapes: &Shapes) -> Vec<Piece>
         if group.len() == 1 {
             done.push(piece);
         } else {
-            let told = told.into_iter().flatten();
-            let told = told.min_by(|a, b| a.1.cmp(&b.1).then(b.0.total_cmp(&a.0)));
+            let told = Told::best(told.into_iter().flatten());
             done.extend(merged.into_iter().map(|polygon| Piece { polygon, told }));
         }
     }
@@ -361,15 +380,9 @@ fn without<'a>(
 
 /// Removes rings that repeat an earlier one.
 fn drop_twins(rings: &mut Vec<Ring>, defects: &mut Vec<Defect>) {
-    let sorted_points = |ring: &Ring| {
-        let mut points: Vec<_> =
-            ring.line.0[1..].iter().map(|p| (p.x.to_bits(), p.y.to_bits())).collect();
-        points.sort_unstable();
-        points
-    };
     let mut seen = HashSet::new();
     let before = rings.len();
-    rings.retain(|ring| seen.insert(sorted_points(ring)));
+    rings.retain(|ring| seen.insert(corners(&ring.line.0[1..])));
     if rings.len() < before {
         defects.push(Defect::DuplicateMember);
     }

@@ -1,9 +1,9 @@
 //! The passes over the extracts, and their result.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::PathBuf;
 
-use super::assemble::{Members, Projector};
+use super::assemble::{MAX_DEPTH, Members, Projector};
 use super::block::{self, MemberId};
 use super::build::{Found, build};
 use super::copies::{MemberWay, whole_members, whole_relations, whole_ways};
@@ -18,9 +18,6 @@ use crate::crs::{CrsError, Utm};
 use crate::error::{Fault, HasFault};
 use crate::grid::Area;
 use crate::progress::Progress;
-
-/// Relations within relations within relations ...: nobody needs more.
-const MAX_ROUNDS: usize = 8;
 
 /// Why no buildings could be read.
 #[derive(Debug, thiserror::Error)]
@@ -129,20 +126,19 @@ pub fn read_buildings(
     let relations = whole_relations(relations, &members.ways, &mut problems);
     let tagged = count_tagged(&ways, &relations, &mut problems);
 
-    let of_most = zone::of_most(&ways, &relations, &members, &nodes);
+    let of_most = || zone::of_most(&ways, &relations, &members, &nodes);
     let no_buildings =
         || ReadError::NoBuildings { files: files.to_owned(), found: tagged as usize };
-    let utm = match (epsg, area.middle(), of_most) {
-        (Some(epsg), ..) => Utm::from_epsg(epsg)?,
-        (None, Some([lon, lat]), _) => Utm::of_place(lon, lat)?,
-        (None, None, Some((utm, _))) => utm,
-        (None, None, None) => return Err(no_buildings()),
+    let utm = match (epsg, area.middle()) {
+        (Some(epsg), _) => Utm::from_epsg(epsg)?,
+        (None, Some([lon, lat])) => Utm::of_place(lon, lat)?,
+        (None, None) => of_most().ok_or_else(no_buildings)?.0,
     };
     let projector = Projector { nodes: &nodes, utm };
     let Found { buildings, named } = build(&ways, &relations, &members, &projector, &mut problems);
     if buildings.is_empty() {
         let is_far = problems.iter().any(|problem| problem.defect == Defect::NotProjectable);
-        return Err(match of_most {
+        return Err(match of_most() {
             Some((_, [lon, lat])) if is_far => ReadError::Elsewhere { epsg: utm.epsg(), lon, lat },
             _ => no_buildings(),
         });
@@ -223,7 +219,7 @@ fn read_relations(
     let mut found: HashMap<i64, Vec<(MemberId, Role)>> = HashMap::new();
     let mut wanted: HashSet<i64> =
         relations.iter().flat_map(|relation| inner(&relation.members)).collect();
-    for _ in 0..MAX_ROUNDS {
+    for _ in 0..MAX_DEPTH {
         if wanted.is_empty() {
             break;
         }
@@ -237,10 +233,8 @@ fn read_relations(
                 let rings = wanted.map(|relation| {
                     let members = block::members(block, relation);
                     let rings = members.filter_map(|(member, role)| match role {
-                        "outer" | "outline" => Some((member, Role::Outer)),
-                        "inner" => Some((member, Role::Inner)),
-                        "" => Some((member, Role::Any)),
-                        _ => None,
+                        "outline" => Some((member, Role::Outer)),
+                        role => Some((member, Role::of(role)?)),
                     });
                     (relation.id(), rings.collect::<Vec<_>>())
                 });
@@ -291,14 +285,13 @@ fn read_members(
                 .filter(|way| wanted.contains(&way.id()) && block::is_visible(way.info.as_ref()));
             let member = |way| {
                 let tag = |key: &str| block::way_tag(block, way, key);
-                let told = told_height(&tag, 0.0, config, &mut vec![]);
-                let way_found = MemberWay {
+                let found = MemberWay {
                     version: block::version(way.info.as_ref()),
                     refs: block::way_refs(way),
                     places: block::way_places(block, way),
-                    height_m: told.map(|(height_m, source)| (height_m as f32, source)),
+                    told: told_height(&tag, 0.0, config, &mut vec![]),
                 };
-                (way.id(), way_found)
+                (way.id(), found)
             };
             wanted.map(member).collect::<Vec<_>>()
         })?;
@@ -368,6 +361,5 @@ fn raised(city: &City) -> impl Iterator<Item = Problem> {
         let attributes = &building.attributes;
         attributes.raised && (attributes.kind == Kind::Outline || city.outlines_of(*at).is_empty())
     });
-    let objects: BTreeSet<ObjectId> = raised.map(|(_, building)| building.object).collect();
-    objects.into_iter().map(|object| Problem::new(object, Defect::Raised))
+    raised.map(|(_, building)| Problem::new(building.object, Defect::Raised))
 }

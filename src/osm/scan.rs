@@ -119,16 +119,13 @@ impl Finds {
         }
         let (mut members, mut parts, mut foreign) = (Vec::new(), Vec::new(), false);
         for (member, role) in block::members(block, relation) {
-            match (kind, role) {
-                (_, "outer") | (RelationKind::Building, "outline") => {
-                    members.push((member, Role::Outer));
-                }
-                (_, "inner") => members.push((member, Role::Inner)),
-                (RelationKind::Multipolygon, "") => members.push((member, Role::Any)),
-                (RelationKind::Multipolygon, _) => foreign = true,
-                (RelationKind::Building, "part") => parts.push(member),
-                // Entrances, edges, ridges and the like.
-                (RelationKind::Building, _) => {}
+            match (kind, role, Role::of(role)) {
+                (RelationKind::Building, "outline", _) => members.push((member, Role::Outer)),
+                (RelationKind::Building, "part", _) => parts.push(member),
+                // Entrances, edges, ridges and the like, mostly without a role.
+                (RelationKind::Building, _, None | Some(Role::Any)) => {}
+                (_, _, Some(role)) => members.push((member, role)),
+                (RelationKind::Multipolygon, _, None) => foreign = true,
             }
         }
         if foreign {

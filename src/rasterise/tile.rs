@@ -111,7 +111,6 @@ struct Painter<'a> {
     city: &'a City,
     window: Window,
     scanline: Scanline,
-    others: Scanline,
     /// What covers each cell of the box around a footprint: a bit for each list of
     /// [`Limits::within`], and [`Self::WITHOUT`].
     mask: Vec<u8>,
@@ -121,8 +120,7 @@ impl<'a> Painter<'a> {
     const WITHOUT: u8 = 1 << 7;
 
     fn new(city: &'a City, window: Window) -> Self {
-        let (scanline, others) = (Scanline::default(), Scanline::default());
-        Self { city, window, scanline, others, mask: Vec::new() }
+        Self { city, window, scanline: Scanline::default(), mask: Vec::new() }
     }
 
     /// Calls `paint(row, columns)` for the runs of cells of a building's footprint that lie within
@@ -174,7 +172,7 @@ impl<'a> Painter<'a> {
         for &other in footprints {
             let city = self.city;
             for polygon in &city.buildings()[other as usize].footprint {
-                self.others.fill(polygon, &self.window, |row, run| {
+                self.scanline.fill(polygon, &self.window, |row, run| {
                     let start = run.start.max(columns.start);
                     let end = run.end.min(columns.end);
                     if rows.contains(&row) && start < end {

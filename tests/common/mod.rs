@@ -9,6 +9,9 @@ use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
+use holescout::store::{NpzReader, read_npy};
+use ndarray::Array2;
+
 /// Exit codes of the command.
 pub(crate) const FAILED_WHILE_RUNNING: i32 = 1;
 pub(crate) const WRONG_USAGE: i32 = 2;
@@ -41,6 +44,16 @@ pub(crate) fn read(path: &Path) -> Vec<u8> {
 /// Makes a file.
 pub(crate) fn write(path: &Path, bytes: impl AsRef<[u8]>) {
     std::fs::write(path, bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+}
+
+/// `height_m` and `height_source` of a tile.
+pub(crate) fn tile_grids(path: &Path) -> (Array2<f32>, Array2<u8>) {
+    let mut archive = NpzReader::open(path, 1 << 24).expect("the tile was written");
+    let heights = archive.member("height_m").expect("tiles hold heights");
+    let sources = archive.member("height_source").expect("tiles hold sources");
+    let heights = read_npy(&heights).and_then(|npy| npy.to_array2());
+    let sources = read_npy(&sources).and_then(|npy| npy.to_array2());
+    (heights.expect("heights are float32"), sources.expect("sources are uint8"))
 }
 
 /// Arguments of different types as one list.

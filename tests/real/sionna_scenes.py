@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ply import read_ply
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "pipeline"))
 from sionna_files import Scene, read_scene  # noqa: E402
@@ -32,7 +33,7 @@ CITIES = {
     "helsinki": (19, EVERY),
     "london": (27, EVERY),
 }
-OPTIONS = options_of(parse_arguments(["SCENES", "--out", "MAPS"]))
+OPTIONS = options_of(parse_arguments(["SCENES", "--out", "MAPS", "--repeats", "1"]))
 TOLERANCE_M = 0.01
 # Corners lie on a lattice of 2^-13 m: an edge may lie so far off.
 ON_EDGE_M = 1.8e-4
@@ -83,15 +84,6 @@ def on_an_edge(scene: Scene, points: np.ndarray) -> np.ndarray:
         share = np.clip(((point - start) * along).sum(axis=1) / length, 0, 1)
         found.append(np.hypot(*(start + share[:, None] * along - point).T).min() <= ON_EDGE_M)
     return np.array(found, bool)
-
-
-def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices [n, 3] and the faces [m, 3] of a mesh of `holescout scenes`."""
-    header, body = path.read_bytes().split(b"end_header\n", 1)
-    count = {line.split()[1]: int(line.split()[2]) for line in header.decode("ascii").splitlines() if line.startswith("element")}
-    vertices = np.frombuffer(body, "<f4", 3 * count["vertex"]).reshape(-1, 3)
-    face = np.dtype([("count", "u1"), ("index", "<i4", 3)])
-    return vertices, np.frombuffer(body, face, count["face"], offset=vertices.nbytes)["index"]
 
 
 def check_scene(scene: Scene, tile: Path) -> tuple[float, int, int, int]:
