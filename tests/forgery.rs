@@ -4,20 +4,24 @@
 mod pipeline;
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use holescout::dataset::{Grids, Record, statistics_of};
 use holescout::store::{SeekTable, SeekableWriter, compress_frame, npy_bytes};
 use ndarray::{Array2, s};
+use ndarray_npy::WritableElement;
 use serde_bytes::ByteBuf;
 use serde_json::{Value, json};
 
+use pipeline::repeats::REPEATED;
 use pipeline::{
     DATASET_FILES, HELSINKI, assert_says, copy_of, plant, read_json, run, sha256, verify,
 };
 
-/// The fixtures' dataset, taken apart. [`Forgery::verdict`] puts it together again with
+/// A dataset, taken apart. [`Forgery::verdict`] puts it together again with
 /// index, digests, statistics and checksums that fit what has been changed.
 struct Forgery {
+    dataset: &'static Path,
     manifest: Value,
     shards: BTreeMap<String, Vec<Record>>,
     /// Whether index and statistics follow the records.
@@ -49,34 +53,45 @@ fn add(sum: &mut Value, more: &Value) {
 }
 
 impl Forgery {
+    /// The fixtures' dataset.
     fn new() -> Self {
-        let manifest = read_json(&HELSINKI.dataset.join("manifest.json"));
+        Self::of(&HELSINKI.dataset)
+    }
+
+    fn of(dataset: &'static Path) -> Self {
+        let manifest = read_json(&dataset.join("manifest.json"));
         let mut shards = BTreeMap::new();
-        for name in [DATASET_FILES[4], DATASET_FILES[5]] {
-            let (mut file, table) = SeekTable::open(&HELSINKI.dataset.join(name)).expect("opened");
+        for shard in manifest["shards"].as_array().expect("shards") {
+            let name = shard["file"].as_str().expect("a name");
+            let (mut file, table) = SeekTable::open(&dataset.join(name)).expect("opened");
             let records: Vec<Record> = (0..table.len())
                 .map(|frame| table.frame(&mut file, frame).expect("whole"))
                 .map(|bytes| Record::decode(&bytes).expect("a record"))
                 .collect();
             shards.insert(name.to_owned(), records);
         }
-        Self { manifest, shards, follows: true }
+        Self { dataset, manifest, shards, follows: true }
     }
 
     fn train(&mut self) -> &mut Vec<Record> {
         self.shards.get_mut(DATASET_FILES[4]).expect("a shard")
     }
 
+    /// The first record.
+    fn first(&mut self) -> &mut Record {
+        self.shards.values_mut().find_map(|records| records.first_mut()).expect("a record")
+    }
+
     fn val(&mut self) -> &mut Vec<Record> {
         self.shards.get_mut(DATASET_FILES[5]).expect("a shard")
     }
 
-    /// Puts the arrays of a training record through a change.
+    /// Puts the arrays of the first record through a change.
     fn change_grids(&mut self, change: impl Fn(&mut Grids)) {
-        let record = self.train().remove(0);
+        let record = self.first();
         let mut grids = record.grids(121).expect("arrays");
         change(&mut grids);
-        self.train().insert(0, record.with_grids(&grids));
+        *record = record.clone().with_grids(&grids);
     }
 
     /// Index and statistics of the records as they are now.
@@ -109,7 +124,7 @@ impl Forgery {
         if self.follows {
             self.follow();
         }
-        let (_dir, root, mut files) = copy_of(&HELSINKI.dataset);
+        let (_dir, root, mut files) = copy_of(self.dataset);
         for (number, (file, records)) in self.shards.iter().enumerate() {
             let mut writer = SeekableWriter::new(vec![]);
             for record in records {
@@ -283,6 +298,42 @@ fn unsound_cells_are_found() {
         forgery.train()[0].rsrp_dbm = ByteBuf::from(bytes);
         assert_says(&forgery.verdict(), &[&id, "rsrp_dbm"]);
     }
+}
+
+/// Arrays of a record with errors, as integers.
+fn packed<T: WritableElement + Clone>(value: T) -> Option<ByteBuf> {
+    Some(ByteBuf::from(npy_bytes(&Array2::from_elem((121, 121), value))))
+}
+
+#[test]
+fn unsound_errors_are_found() {
+    let whole = || Forgery::of(&REPEATED.dataset);
+    whole().run().succeeds();
+    let changes: [(&str, Change<Record>); 8] = [
+        ("std_error_db", |record| record.std_error_db = packed(435_u16)),
+        ("std_error_db", |record| record.std_error_db = packed(100_i16)),
+        ("std_error_db", |record| record.std_error_db = Some(ByteBuf::new())),
+        ("first_half_share", |record| record.first_half_share = packed(251_u8)),
+        ("no level", |record| record.rsrp_dbm = packed(i16::MIN).expect("bytes")),
+        ("repeats", |record| record.repeats = None),
+        ("std_error_db", |record| record.std_error_db = None),
+        ("record.v1", |record| record.schema = Record::SCHEMA.to_owned()),
+    ];
+    for (said, change) in changes {
+        let mut forgery = whole();
+        let record = forgery.first();
+        let id = record.id.to_string();
+        change(record);
+        assert_says(&forgery.verdict(), &[&id, said]);
+    }
+    // Sound in itself, and another count of what is sure.
+    let mut forgery = whole();
+    forgery.follow();
+    forgery.follows = false;
+    forgery.change_grids(|grids| {
+        grids.errors.as_mut().expect("errors").std_error_db.fill(0.0);
+    });
+    assert_says(&forgery.verdict(), &["manifest.json", "statistics differ"]);
 }
 
 #[test]

@@ -204,19 +204,21 @@ impl Record {
         ];
         let fields: Vec<&str> =
             of_errors.iter().filter_map(|(name, given)| given.then_some(*name)).collect();
-        let is_whole = match self.schema.as_str() {
-            Self::SCHEMA => fields.is_empty(),
-            Self::SCHEMA_WITH_ERRORS => {
-                self.repeats.is_some_and(|repeats| repeats > 1) && self.std_error_db.is_some()
-            }
+        let (is_whole, expected) = match self.schema.as_str() {
+            Self::SCHEMA => (fields.is_empty(), "none of them"),
+            Self::SCHEMA_WITH_ERRORS => (
+                self.repeats.is_some_and(|repeats| repeats > 1) && self.std_error_db.is_some(),
+                "two repeats or more and the field std_error_db",
+            ),
             _ => return Err(RecordError::Encoding(format!("schema is {:?}", self.schema))),
         };
         if is_whole {
             return Ok(());
         }
         let (schema, repeats) = (&self.schema, self.repeats.unwrap_or(1));
-        let found = format!("{schema} with {repeats} repeats and the fields {fields:?}");
-        Err(RecordError::Encoding(found))
+        Err(RecordError::Encoding(format!(
+            "{schema} with {repeats} repeats and the fields {fields:?}, expected {expected}"
+        )))
     }
 
     /// One of the arrays.
