@@ -26,7 +26,7 @@ def trace(scenes: Path, ident: str, cell_m: int, samples: int) -> np.ndarray:
     """Path gain of a scene's first base station, linear, [rows, columns]."""
     with tempfile.TemporaryDirectory() as maps:
         subprocess.run([sys.executable, TRACE, scenes, "--out", maps, "--only", ident, "--size", "484", "--cell", str(cell_m),
-                        "--samples", str(samples)], check=True, capture_output=True)
+                        "--samples", str(samples), "--repeats", "1"], check=True, capture_output=True)
         with np.load(f"{maps}/{ident}.npz") as archive:
             return np.atleast_3d(archive["path_gain"].astype(float).T).T[0]
 

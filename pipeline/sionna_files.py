@@ -23,6 +23,8 @@ SCHEMA = "radio_map.v1"
 SCENE_SCHEMA = "scene.v1"
 # How metadata call what makes repeats differ (`sionna_repeats`).
 DIRECTION_SHIFT = "random"
+# How far above free space a cell of a repeat is taken for an artefact of diffraction (`sionna_repeats`), in dB.
+CEILING_DB = 15.0
 # Places in the hash table of wedges as Sionna has it.
 WEDGE_TABLE = 10_000
 # What `holescout scenes` leaves while it is not finished.
@@ -204,7 +206,7 @@ def read_scene(folder: Path, options: Options) -> Scene:
         "scene_sha256": hashlib.sha256((folder / "buildings.ply").read_bytes()).hexdigest(),
         "licence": description["licence"],
         "attribution": description["attribution"],
-        **({"repeats": options.repeats, "direction_shift": DIRECTION_SHIFT} if options.repeats > 1 else {}),
+        **({"repeats": options.repeats, "direction_shift": DIRECTION_SHIFT, "ceiling_db": CEILING_DB} if options.repeats > 1 else {}),
         **({"wedge_table": options.wedge_table} if options.wedge_table != WEDGE_TABLE else {}),
     }, grid, note)
 

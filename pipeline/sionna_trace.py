@@ -4,18 +4,18 @@
 
 reads `SCENES/<id>/{scene.json, scene.xml, *.ply}` (schema scene.v1) and writes `MAPS/<id>.npz` with
 
-- `path_gain`: float32, linear, a cell's average, exactly 0 where no path arrives. Shape [rows, columns] for one base
-  station, [n, rows, columns] for n. Row 0 is the southernmost and column 0 the westernmost, as Sionna emits it.
+- `path_gain`: float32, linear, a cell's average: the mean over the repeats in linear power, those that do not reach the cell counted
+  as 0; exactly 0 where no path arrives. Shape [rows, columns] for one base station, [n, rows, columns] for n. Row 0 is the
+  southernmost and column 0 the westernmost, as Sionna emits it.
+- `path_gain_std_error`: the standard error of that mean: sample standard deviation over sqrt(R); same type and shape.
+- `path_gain_first_half`: the mean over repeats 0 to R/2 - 1; that of the other half is twice `path_gain` less it; same type and shape.
 - `meta_json`: metadata (schema radio_map.v1) as UTF-8 in uint8. With n base stations `tx_position_m` is a list of n.
 
-With `--repeats R` each base station is traced R times, independently (`sionna_repeats`); `--repeats` alone means 8, and without it
-there is one trace. Then the file holds of the same shape
+Each base station is traced R times, independently (`sionna_repeats`): `--repeats R`, 8 unless told otherwise. With `--repeats 1` there is a
+single trace in Sionna's own directions, and `path_gain` alone.
 
-- `path_gain`: the mean over the repeats in linear power, cells that a repeat does not reach counted as 0.
-- `path_gain_std_error`: float32, linear, the standard error of that mean: sample standard deviation over sqrt(R).
-- `path_gain_first_half`: float32, linear, the mean over repeats 0 to R/2 - 1; that of the other half is twice `path_gain` less it.
-
-Metadata then have `repeats` (R), `direction_shift` ("random") and `wedge_table`; `samples_per_tx` are the rays of one repeat, so that R
+Of repeats metadata have `repeats` (R), `direction_shift` ("random"), `ceiling_db` (cells of a repeat so far above free space are left out)
+and `wedge_table`; `samples_per_tx` are the rays of one repeat, so that R
 times as many made the map.
 
 All scenes are traced in one process, so that kernels are compiled once. A map is renamed into place when it is complete and
@@ -62,6 +62,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 from sionna_files import (
+    CEILING_DB,
     SIONNA_VERSION,
     WEDGE_TABLE,
     InvalidInput,
@@ -74,7 +75,7 @@ from sionna_files import (
     sionna_version,
     write_map,
 )
-from sionna_repeats import Moments, Shift, shift_of, shifted_directions, wedge_table
+from sionna_repeats import Shift, ceiling_of, combine, shift_of, shifted_directions, wedge_table
 from sionna_tasks import PERMANENT, Busy, add_arguments, locked, part_suffix, task_of
 
 VARIANTS = ("cuda_ad_mono_polarized", "llvm_ad_mono_polarized")
@@ -85,7 +86,7 @@ LLVM_FOLDERS = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/u
 MOST_SAMPLES = 2**32 - 1
 # Of 6,400 wedges that a base station of San Jose sees, Sionna's table keeps seven tenths; this one loses fewer than 1 %, for 3 to 4 % of time.
 REPEATED_WEDGE_TABLE = 1_000_000
-# What --repeats without a number means.
+# Enough to tell an error by, and each has rays enough to find its wedges (docs/LABELS.md).
 REPEATS = 8
 # Share of edges without an opposite face that is told, but let pass: where a building touches itself.
 OPEN_EDGES = 0.01
@@ -157,10 +158,11 @@ class Tracer:
         repeats = scene.metadata.get("repeats", 1)
         if repeats == 1:
             return {"path_gain": self.solve(loaded, scene)}
-        moments = Moments(repeats)
-        for repeat in range(repeats):
-            moments.add(self.solve(loaded, scene, shift_of(scene.metadata["seed"], scene.ident, base_station, repeat)))
-        return moments.arrays()
+        maps = [self.solve(loaded, scene, shift_of(scene.metadata["seed"], scene.ident, base_station, repeat)) for repeat in range(repeats)]
+        arrays, shone = combine(np.array(maps), ceiling_of(scene.metadata, scene.base_stations[base_station]))
+        if shone:
+            say(f"{scene.ident}: {shone} cells of {repeats} repeats lay {CEILING_DB:g} dB above free space, the other repeats count there")
+        return arrays
 
     def solve(self, loaded: Any, scene: Scene, shift: Shift | None = None) -> np.ndarray:
         """Path gain of the one base station of a scene of Sionna, [rows, columns], float32; in shifted directions if told so."""
@@ -247,10 +249,10 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--size", type=positive(float), metavar="M", help="side of the map [map_size_m of the scene]")
     parser.add_argument("--samples", type=positive(int), metavar="N",
                         help="rays per base station in each repeat [as many as --rays-per-cell needs]")
-    parser.add_argument("--repeats", type=positive(int), nargs="?", default=1, const=REPEATS, metavar="R",
-                        help="independent traces of each base station, an even number, %(const)s if it is left out: the map holds "
-                             "their mean, its standard error and the mean of their first half "
-                             "[%(default)s: a single trace in Sionna's own directions]")
+    parser.add_argument("--repeats", type=positive(int), default=REPEATS, metavar="R",
+                        help="independent traces of each base station, an even number: the map holds their mean, its standard error and "
+                             "the mean of their first half. 1: a single trace in Sionna's own directions, of whose error nothing is known "
+                             "[%(default)s]")
     parser.add_argument("--rays-per-cell", type=positive(float), default=10.0, metavar="X",
                         help="expected line-of-sight rays in the cell that is farthest from the base station, of all "
                              "repeats together [%(default)g]")

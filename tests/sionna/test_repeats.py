@@ -5,6 +5,7 @@ takes them on tiles of San Jose. Run by `make test-sionna`.
 """
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Callable
@@ -196,11 +197,11 @@ def test_several_base_stations_have_errors_of_their_own(tmp_path: Path) -> None:
 def test_other_repeats_are_another_map(tmp_path: Path) -> None:
     write_scene(tmp_path / "scenes/one", [STATION])
     flags = [tmp_path / "scenes", "--out", tmp_path / "maps", "--samples", FEW]
-    assert "1 maps traced, 0 kept" in trace(*flags)
+    assert "1 maps traced, 0 kept" in trace(*flags, "--repeats", 1)
     plain = json.loads(load(tmp_path / "maps/one.npz")["meta_json"].tobytes())
-    assert not {"repeats", "direction_shift", "wedge_table"} & plain.keys(), "without --repeats a map is what it was"
+    assert not {"repeats", "direction_shift", "wedge_table"} & plain.keys(), "a single trace is what it was before there were repeats"
     told = trace(*flags, "--repeats", 2, status=3)
-    assert "one.npz was traced otherwise: direction_shift None instead of random; repeats None instead of 2; wedge_table None instead of 1000000" in told
+    assert "one.npz was traced otherwise: ceiling_db None instead of 15.0; direction_shift None instead of random; repeats None instead of 2; wedge_table None instead of 1000000" in told
     assert "1 maps traced, 0 kept" in trace(*flags, "--repeats", 2, "--overwrite")
     assert "0 maps traced, 1 kept" in trace(*flags, "--repeats", 2)
     assert "repeats 2 instead of 4" in trace(*flags, "--repeats", 4, status=3)
@@ -208,9 +209,8 @@ def test_other_repeats_are_another_map(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("flags", "repeats", "places"), [
-    ([], 1, sionna_files.WEDGE_TABLE), (["--repeats"], 8, 1_000_000), (["--repeats", "--seed", "2"], 8, 1_000_000),
-    (["--repeats", "16"], 16, 1_000_000), (["--repeats", "1"], 1, sionna_files.WEDGE_TABLE)])
-def test_repeats_without_a_number_are_eight(flags: list[str], repeats: int, places: int) -> None:
+    ([], 8, 1_000_000), (["--repeats", "16"], 16, 1_000_000), (["--repeats", "1"], 1, sionna_files.WEDGE_TABLE)])
+def test_there_are_eight_repeats_unless_told_otherwise(flags: list[str], repeats: int, places: int) -> None:
     found = sionna_trace.options_of(sionna_trace.parse_arguments(["scenes", "--out", "maps", *flags]))
     assert (found.repeats, found.wedge_table) == (repeats, places)
 
@@ -271,18 +271,39 @@ def test_wedges_whose_place_is_taken_are_lost(many: Many, monkeypatch: pytest.Mo
         pass
 
 
-def test_moments_are_those_of_all_repeats() -> None:
+def test_a_map_holds_mean_error_and_half_of_all_repeats() -> None:
     draws = np.random.default_rng(1).exponential(1e-9, (8, 3, 4)).astype(np.float32)
     draws[:5, 0, 0] = draws[:, 1, 1] = 0
-    moments = sionna_repeats.Moments(8)
-    for draw in draws:
-        moments.add(draw)
-    found, exact = moments.arrays(), draws.astype(float)
+    (found, shone), exact = sionna_repeats.combine(draws, np.ones((3, 4))), draws.astype(float)
+    assert not shone
     assert np.allclose(found["path_gain"], exact.mean(0), rtol=1e-6)
     assert np.allclose(found["path_gain_std_error"], exact.std(0, ddof=1) / np.sqrt(8), rtol=1e-6)
     assert np.allclose(2 * found["path_gain"] - found["path_gain_first_half"], exact[4:].mean(0), rtol=1e-5, atol=1e-16)
     assert found["path_gain_std_error"][1, 1] == 0
     with pytest.raises(ValueError, match="expected an even number"):
-        sionna_repeats.Moments(3)
-    with pytest.raises(ValueError, match="expected 2 repeats, found 0"):
-        sionna_repeats.Moments(2).arrays()
+        sionna_repeats.combine(draws[:3], np.ones((3, 4)))
+
+
+def test_a_cell_that_shines_in_one_repeat_is_what_the_others_say() -> None:
+    draws = np.random.default_rng(2).exponential(1e-12, (8, 2, 2)).astype(np.float32)
+    draws[5, 0, 1] = 1e-3
+    draws[:4, 1, 0] = 1e-3
+    found, shone = sionna_repeats.combine(draws, np.full((2, 2), 1e-8))
+    first, others = draws[:4, 0, 1].mean(), draws[[4, 6, 7], 0, 1].mean()
+    assert shone == 1
+    assert found["path_gain_first_half"][0, 1] == pytest.approx(first)
+    assert found["path_gain"][0, 1] == pytest.approx((first + others) / 2)
+    assert found["path_gain_std_error"][0, 1] < 1e-12
+    # What a whole half says stays.
+    assert found["path_gain_first_half"][1, 0] == pytest.approx(1e-3)
+
+
+def test_the_ceiling_is_free_space_from_the_nearest_point_of_a_cell() -> None:
+    metadata = {"map_size_m": 12.0, "cell_size_m": 4.0, "rx_height_m": 2.0, "frequency_hz": 3.5e9}
+    ceiling = sionna_repeats.ceiling_of(metadata, [4.0, -4.0, 12.0])
+    # Friis: 63.3 dB at 10 m. Row 0 is south: the base station stands over its last cell, 10 m up; the cell at the other end begins 6 m
+    # west and 6 m north of it.
+    level = 10 * np.log10(ceiling) - sionna_files.CEILING_DB
+    assert level[0, 2] == pytest.approx(-63.33, abs=0.01)
+    assert level[2, 0] == pytest.approx(-63.33 - 10 * math.log10(1.72), abs=0.01)
+    assert level[0, 0] == level[2, 2] == pytest.approx(-63.33 - 10 * math.log10(1.36), abs=0.01)

@@ -25,7 +25,8 @@ from hand_scene import HOUSE, TRIANGLE, XML, prism, write_scene
 ROOT = Path(__file__).parents[2]
 TRACE = ROOT / "pipeline/sionna_trace.py"
 STATION = [-50.0, 70.0, 25.0]
-FEW = ["--samples", "1e6"]
+SINGLE = ["--repeats", "1"]
+FEW = ["--samples", "1e6", *SINGLE]
 EXTRACT = ROOT / "fixtures/helsinki/helsinki.osm.pbf"
 
 
@@ -121,12 +122,12 @@ def test_several_base_stations_are_traced_as_if_alone(traced: Path) -> None:
 
 def test_samples_follow_the_farthest_corner(tmp_path: Path) -> None:
     write_scene(tmp_path / "scenes/one", [[0.0, 0.0, 42.0]])
-    told = trace(tmp_path / "scenes", "--out", tmp_path / "maps")
+    told = trace(tmp_path / "scenes", "--out", tmp_path / "maps", *SINGLE)
     samples = load(tmp_path / "maps/one.npz")[1]["samples_per_tx"]
     # lambda = N A h / (4 pi (r^2 + h^2)^1.5), 10 at r = 100 sqrt(2) m, h = 40 m: N = 622,000.
     assert samples == 630_000
     assert "cap" not in told
-    told = trace(tmp_path / "scenes", "--out", tmp_path / "maps", "--max-samples", "300000", "--overwrite")
+    told = trace(tmp_path / "scenes", "--out", tmp_path / "maps", "--max-samples", "300000", "--overwrite", *SINGLE)
     assert load(tmp_path / "maps/one.npz")[1]["samples_per_tx"] == 300_000
     assert "cap of 3.0e+05" in told
     assert "leaves 4.8" in told
@@ -155,7 +156,7 @@ def test_a_killed_run_leaves_whole_maps_only(tmp_path: Path) -> None:
     scenes, maps = tmp_path / "scenes", tmp_path / "maps"
     for name in "abc":
         write_scene(scenes / name, [STATION])
-    command = [sys.executable, str(TRACE), str(scenes), "--out", str(maps), "--samples", "6e6"]
+    command = [sys.executable, str(TRACE), str(scenes), "--out", str(maps), "--samples", "6e6", *SINGLE]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as run:
         while run.poll() is None and not (maps / "a.npz").exists():
             time.sleep(0.02)
@@ -167,7 +168,7 @@ def test_a_killed_run_leaves_whole_maps_only(tmp_path: Path) -> None:
     load(maps / "a.npz")
     # As a run leaves it that is killed while it writes.
     (maps / ".b.npz.part").write_bytes(b"half")
-    assert "2 maps traced, 1 kept" in trace(scenes, "--out", maps, "--samples", "6e6")
+    assert "2 maps traced, 1 kept" in trace(scenes, "--out", maps, "--samples", "6e6", *SINGLE)
     assert sorted(path.name for path in maps.iterdir()) == ["a.npz", "b.npz", "c.npz"]
 
 
@@ -292,7 +293,7 @@ def test_from_openstreetmap_to_a_verified_dataset(tmp_path: Path) -> None:
     holescout("scenes", "--osm", EXTRACT, "--tiles", tiles, "--out", scenes, "--placement", "roof")
     descriptions = [json.loads(path.read_text()) for path in sorted(scenes.glob("*/scene.json"))]
     ident = max(descriptions, key=lambda scene: scene["solids"])["id"]
-    trace(scenes, "--out", maps, "--only", ident, "--samples", "2e7")
+    trace(scenes, "--out", maps, "--only", ident, "--samples", "2e7", *SINGLE)
     path_gain, meta = load(maps / f"{ident}.npz")
     assert path_gain.shape == (121, 121)
     assert 0.05 < (path_gain == 0).mean() < 0.95, "buildings are empty, streets are not"
