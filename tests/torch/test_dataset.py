@@ -1,6 +1,6 @@
 """`examples/torch_dataset.py`: every record once an epoch, however many workers and ranks there are.
 
-HOLESCOUT_DATASET names a dataset with a train and a val split of one shard each. They are copied under several names, for order to
+HOLESCOUT names the program, HOLESCOUT_DATASET a dataset with a train and a val split of one shard each. They are copied under several names, for order to
 mean something.
 """
 
@@ -10,12 +10,14 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch.utils.data import DataLoader
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
-from read_shards import records  # noqa: E402
+sys.path[:0] = [str(Path(__file__).parents[2] / "examples"), str(Path(__file__).parents[1])]
+import repeated_dataset  # noqa: E402
+from read_shards import hole_probability, holes, records  # noqa: E402
 from torch_dataset import Records  # noqa: E402
 
 SHARDS = 6
@@ -46,6 +48,19 @@ def test_tensors_are_the_records_arrays(dataset: Path) -> None:
     assert (item["maps"][0].numpy() == stored["height_m"]).all()
     assert (item["maps"][1].numpy() == stored["rsrp_dbm"]).all()
     assert (item["mask"].numpy() == stored["mask"]).all()
+    assert (item["hole"].numpy() == holes(stored)).all()
+
+
+def test_of_repeats_the_chance_of_a_hole_comes_along(tmp_path: Path) -> None:
+    dataset = repeated_dataset.build(os.environ["HOLESCOUT"], tmp_path)
+    stored = {record["id"]: record for record in records(dataset, "train")}
+    assert {record["schema"] for record in stored.values()} == {"record.v1", "record.v2"}
+    for batch in DataLoader(Records(dataset, threshold_dbm=-95.0), batch_size=2):
+        for ident, hole, maps in zip(batch["id"], batch["hole"], batch["maps"], strict=True):
+            assert np.allclose(hole.numpy(), hole_probability(stored[ident], -95.0), atol=1e-6)
+            assert (maps[1].numpy() == stored[ident]["rsrp_dbm"]).all()
+            is_unsure = ((hole > 0.05) & (hole < 0.95)).any()
+            assert is_unsure == (stored[ident]["schema"] == "record.v2")
 
 
 @pytest.mark.parametrize("workers", [0, 2])
