@@ -18,9 +18,11 @@ Counts = dict[str, float]
 Figure = tuple[float, float, float]
 
 
-def compare(path_gain: np.ndarray, truth: np.ndarray) -> Counts:
-    """Sums over the cells of a tile: a map against a truth that shares no ray with it."""
-    hole, true = path_gain < HOLE_GAIN, truth < HOLE_GAIN
+def compare(path_gain: np.ndarray, truth: np.ndarray, hole: np.ndarray | None = None) -> Counts:
+    """Sums over the cells of a tile: a map against a truth that shares no ray with it; `hole` tells the cells that are called holes,
+    if it is another rule than that of their level.
+    """
+    hole, true = path_gain < HOLE_GAIN if hole is None else hole, truth < HOLE_GAIN
     both = (path_gain > 0) & (truth > 0)
     difference = 10 * np.log10(path_gain[both] / truth[both])
     return {"cells": hole.size, "holes": hole.sum(), "true_holes": true.sum(), "false": (hole & ~true).sum(),

@@ -10,6 +10,7 @@ to the same cells of the first pack of the study, which halves their size.
 
 import json
 import lzma
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -39,9 +40,9 @@ def levels_of(path_gain: np.ndarray) -> np.ndarray:
     return np.where(path_gain > 0, np.clip(steps, 0, 254) + 1, 0).astype(np.uint8)
 
 
-def path_gain_of(levels: np.ndarray) -> np.ndarray:
-    """Path gain at the middle of levels, linear; 0 where no path arrives."""
-    rsrp_dbm = LOWEST_DBM + (levels.astype(float) - 0.5) * STEP_DB
+def path_gain_of(levels: np.ndarray, within: np.ndarray | float = 0.5) -> np.ndarray:
+    """Path gain in the middle of levels, or elsewhere `within` them (0 to 1), linear; 0 where no path arrives."""
+    rsrp_dbm = LOWEST_DBM + (levels.astype(float) - 1 + within) * STEP_DB
     return np.where(levels > 0, 10 ** ((rsrp_dbm - POWER_DBM) / 10), 0.0)
 
 
@@ -71,6 +72,11 @@ def save_pack(name: str, levels: dict[str, np.ndarray], costs: dict[str, dict[st
     return path.stat().st_size
 
 
+def packed_tiles(path: Path) -> set[str]:
+    """Tiles of a pack."""
+    return set(json.loads(lzma.decompress(path.read_bytes()).partition(b"\n")[0])["cells"])
+
+
 def load_pack(path: Path, reference: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, dict[str, float]]]:
     """Levels and costs by tile."""
     head, _, data = lzma.decompress(path.read_bytes()).partition(b"\n")
@@ -80,3 +86,12 @@ def load_pack(path: Path, reference: dict[str, np.ndarray]) -> tuple[dict[str, n
         levels[tile] = values[begin:begin + count] + (reference[tile] if described["reference"] else np.uint8(0))
         begin += count
     return levels, described["costs"]
+
+
+def read_packs(name: str = "*") -> Iterator[tuple[str, dict[str, np.ndarray], dict[str, dict[str, float]]]]:
+    """Set, levels and costs by tile of all packs, or those of a set, by set and repeat."""
+    first = FOLDER / f"{REFERENCE}.xz"
+    reference = load_pack(first, {})[0] if first.exists() else {}
+    found = [(*path.stem.rsplit("-", 1), path) for path in FOLDER.glob(f"{name}-*.xz")]
+    for of_set, _, path in sorted(found, key=lambda pack: (pack[0], int(pack[1]))):
+        yield of_set, *load_pack(path, reference)

@@ -3,10 +3,10 @@
     label_reliability.py trace STORE     makes tiles and scenes, then traces the queue of benches/labels/study.toml; goes on where it was
     label_reliability.py status STORE    how much of the queue is traced
     label_reliability.py pack STORE      adds finished repeats of all their tiles to benches/labels (--partial: unfinished ones as well)
-    label_reliability.py maps STORE OUT  writes the means of the long traces as maps for `holescout import-rsrp`
+    label_reliability.py maps STORE OUT [--set w1e7]   writes means of packed repeats as maps for `holescout import-rsrp`
     label_reliability.py report          tables and plot from benches/labels
 
-`trace` needs HOLESCOUT (the program) and HOLESCOUT_DATA (a folder with osm/sanjose_buildings.osm.pbf) once, for tiles and scenes.
+The first use of STORE needs HOLESCOUT (the program) and HOLESCOUT_DATA (a folder with osm/sanjose_buildings.osm.pbf), for tiles and scenes.
 """
 
 import argparse
@@ -18,13 +18,13 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from label_packs import FOLDER, REFERENCE, levels_of, load_pack, outdoor_of, save_pack, save_tiles
+from label_packs import FOLDER, REFERENCE, levels_of, load_pack, load_tiles, outdoor_of, packed_tiles, path_gain_of, read_packs, save_pack, save_tiles
 from label_report import LONG, report
 from label_store import SCENE_KEYS, Job, Settings, prepare, queue, read_study, read_tiles, scene_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipeline"))
-from sionna_files import WEDGE_TABLE, InvalidInput, Metadata, Options, Scene, read_metadata, read_scene, write_map
-from sionna_repeats import Moments, shift_of
+from sionna_files import CEILING_DB, DIRECTION_SHIFT, WEDGE_TABLE, Options, Scene, read_scene, write_map
+from sionna_repeats import ceiling_of, combine, shift_of
 from sionna_trace import Tracer, check_loaded, say, start_sionna
 
 
@@ -59,17 +59,32 @@ def trace_one(tracer: Tracer, store: Path, job: Job, settings: Settings) -> floa
     return cost["wall_s"]
 
 
-def trace(store: Path) -> None:
-    """Traces all that is missing of the queue."""
+def prepare_once(store: Path) -> None:
+    """Makes tiles and scenes, if they are not there."""
     if not (store / "tiles.json").exists():
         prepare(store, Path(os.environ["HOLESCOUT"]), Path(os.environ["HOLESCOUT_DATA"]) / "osm" / read_study()["tiles"]["extract"])
+
+
+def packed_jobs() -> set[Job]:
+    """What the repository holds."""
+    found = set()
+    for path in FOLDER.glob("*.xz"):
+        name, repeat = path.stem.rsplit("-", 1)
+        found |= {Job(name, tile, int(repeat)) for tile in packed_tiles(path)}
+    return found
+
+
+def trace(store: Path) -> None:
+    """Traces what neither the store nor the repository has of the queue."""
+    prepare_once(store)
     tiles = read_tiles(store)
     start_sionna(None)
     tracer = Tracer()
+    packed = packed_jobs()
     while True:
         # Read anew each time, so that the order may be changed while it runs.
         study = read_study()
-        job = next((job for job in queue(study, tiles) if not job.path(store).exists()), None)
+        job = next((job for job in queue(study, tiles) if job not in packed and not job.path(store).exists()), None)
         if job is None:
             return
         seconds = trace_one(tracer, store, job, study["sets"][job.set])
@@ -78,11 +93,11 @@ def trace(store: Path) -> None:
 
 def status(store: Path) -> None:
     """Prints how many traces of each set are there."""
-    study, tiles = read_study(), read_tiles(store)
+    study, tiles, packed = read_study(), read_tiles(store), packed_jobs()
     wanted, there = Counter(), Counter()
     for job in queue(study, tiles):
         wanted[job.set] += 1
-        there[job.set] += job.path(store).exists()
+        there[job.set] += job in packed or job.path(store).exists()
     for name, count in wanted.items():
         print(f"{name:16} {there[name]:4} of {count:4} traces of {study['sets'][name]['samples']:.3g} rays")
 
@@ -109,12 +124,10 @@ def pack(store: Path, partial: bool) -> None:
     reference: dict[str, np.ndarray] = {}
     for (name, repeat), jobs in sorted(wanted.items(), key=lambda item: f"{item[0][0]}-{item[0][1]}" != REFERENCE):
         path = FOLDER / f"{name}-{repeat}.xz"
-        there = [job for job in jobs if job.path(store).exists()]
-        packed = set(load_pack(path, reference)[1]) if path.exists() else set()
-        is_worth_it = len(there) == len(jobs) or partial
-        if is_worth_it and {job.tile for job in there} - packed:
-            levels, costs = {}, {}
-            for job in there:
+        levels, costs = load_pack(path, reference) if path.exists() else ({}, {})
+        new = [job for job in jobs if job.tile not in levels and job.path(store).exists()]
+        if new and (partial or len(levels) + len(new) == len(jobs)):
+            for job in new:
                 path_gain, costs[job.tile] = load_trace(job.path(store))
                 # Maps begin in the south, masks in the north.
                 levels[job.tile] = levels_of(path_gain[::-1][masks[job.tile]])
@@ -123,29 +136,30 @@ def pack(store: Path, partial: bool) -> None:
             reference = load_pack(path, {})[0]
 
 
-def same_settings(found: list[tuple[Path, Metadata]]) -> Metadata:
-    """Metadata that repeats have in common. Raises InvalidInput if they differ in more than which repeat they are."""
-    (first, common), *others = [(path, {key: value for key, value in metadata.items() if key != "repeat"}) for path, metadata in found]
-    for path, metadata in others:
-        if differences := [f"{key} {metadata.get(key)} instead of {common.get(key)}" for key in sorted(metadata.keys() | common.keys())
-                           if metadata.get(key) != common.get(key)]:
-            raise InvalidInput(f"{path} is no repeat of {first}: {'; '.join(differences)}")
-    return common
+def maps(store: Path, out: Path, name: str) -> None:
+    """Writes a map of each tile: the mean of an even number of packed repeats of a set, with its error.
 
-
-def maps(store: Path, out: Path) -> None:
-    """Writes a map of each tile: the mean of an even number of long traces, with its error."""
+    Packs have levels in steps of 0.5 dB; each cell gets a level at random within its step, or neighbours would often be equal. Where
+    nothing is outdoors there is no level.
+    """
+    prepare_once(store)
+    settings = read_study()["sets"][name]
+    outdoor, _ = load_tiles()
+    packs = [levels for _, levels, _ in read_packs(name)]
     out.mkdir(parents=True, exist_ok=True)
-    for tile in read_tiles(store):
-        paths = sorted((store / "traces" / LONG).glob(f"{tile}-*.npz"))
-        paths = paths[: len(paths) // 2 * 2]
-        if not paths:
+    for tile, mask in outdoor.items():
+        levels = np.array([levels[tile] for levels in packs if tile in levels])
+        levels = levels[: len(levels) // 2 * 2]
+        if not len(levels):
             continue
-        metadata = same_settings([(path, read_metadata(path)) for path in paths]) | {"repeats": len(paths)}
-        moments = Moments(len(paths))
-        for path in paths:
-            moments.add(load_trace(path)[0])
-        write_map(out / f"{tile}.npz", moments.arrays(), metadata, ".part")
+        within = np.random.default_rng(list(tile.encode())).random(levels.shape)
+        repeats = np.zeros((len(levels), *mask.shape))
+        # Maps begin in the south, masks in the north.
+        repeats[:, mask] = path_gain_of(levels, within)
+        metadata = scene_for(store, Job(name, tile, 0), settings).metadata
+        metadata |= {"repeats": len(levels), "direction_shift": DIRECTION_SHIFT, "ceiling_db": CEILING_DB}
+        arrays, _ = combine(repeats[:, ::-1], ceiling_of(metadata, metadata["tx_position_m"]))
+        write_map(out / f"{tile}.npz", arrays, metadata, ".part")
 
 
 def main() -> None:
@@ -156,6 +170,7 @@ def main() -> None:
         commands.add_parser(name).add_argument("store", type=Path)
     commands.choices["pack"].add_argument("--partial", action="store_true")
     commands.choices["maps"].add_argument("out", type=Path)
+    commands.choices["maps"].add_argument("--set", dest="name", default=LONG, choices=read_study()["sets"], help="[%(default)s]")
     commands.add_parser("report")
     arguments = vars(parser.parse_args())
     command = {"trace": trace, "status": status, "pack": pack, "maps": maps, "report": report}[arguments.pop("command")]

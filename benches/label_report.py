@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from label_figures import HOLE_GAIN, Counts, Figure, compare, figures, local_minima, recurring, scatter
-from label_packs import FOLDER, REFERENCE, load_pack, load_tiles, path_gain_of
+from label_packs import FOLDER, load_tiles, path_gain_of, read_packs
 from label_store import planned, read_study
 
 LONG, SHORT = "w1e8", "w1e7"
 GROUPS = (1, 2, 4, 8, 16)
+RULES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 # Sets of rays: those that hardly lose a wedge, and those with Sionna's own table.
 RAYS = ("w4e6", SHORT, LONG, "w1e9", "r1e7", "r1e8")
 NOT_YET = "not traced yet"
@@ -70,12 +71,8 @@ def read_traces() -> Traces:
     """All packs of the repository."""
     outdoor, built = load_tiles()
     traces = Traces(outdoor, built, {name: settings["samples"] for name, settings in read_study()["sets"].items()}, planned=planned(read_study()))
-    first = FOLDER / f"{REFERENCE}.xz"
-    reference = load_pack(first, {})[0] if first.exists() else {}
     gains: dict[str, dict[str, list[np.ndarray]]] = {}
-    for path in sorted(FOLDER.glob("*.xz"), key=lambda path: (path.stem.rsplit("-", 1)[0], int(path.stem.rsplit("-", 1)[1]))):
-        name = path.stem.rsplit("-", 1)[0]
-        levels, costs = load_pack(path, reference)
+    for name, levels, costs in read_packs():
         for tile, values in levels.items():
             gains.setdefault(name, {}).setdefault(tile, []).append(path_gain_of(values))
         traces.costs.setdefault(name, []).extend(costs.values())
@@ -246,6 +243,7 @@ def probability_table(traces: Traces, count: int = 8) -> str:
         shares.setdefault(f"t with {count - 1} degrees of freedom, linear power", []).append(stats.t.cdf(normal, count - 1))
         shares.setdefault("log-normal", []).append(stats.norm.cdf(log))
         shares.setdefault(f"log-t with {count - 1} degrees of freedom", []).append(stats.t.cdf(log, count - 1))
+        shares.setdefault(f"t with {count - 1} degrees of freedom, dB (records)", []).append(hole_probability(repeats))
     if not outcome:
         return f"{NOT_YET}: {count} repeats of a tile with a truth"
     holes = np.concatenate(outcome).astype(float)
@@ -262,6 +260,34 @@ def probability_table(traces: Traces, count: int = 8) -> str:
         bins = [f"{100 * holes[column == k].mean():.1f} ({100 * (column == k).mean():.1f})" if (column == k).any() else "-" for k in range(len(names))]
         lines.append(f"| {name} | {brier:.4f} | {loss:.4f} | " + " | ".join(bins) + " |")
     return "\n".join(lines)
+
+
+def rule_table(traces: Traces, count: int = 8) -> str:
+    """The same maps, with holes that are called so from some P(hole) on: what fewer false holes cost in missed ones."""
+    tiles = [tile for tile in traces.outdoor if len(traces.of(SHORT, tile)) >= count and traces.truth(tile)[1]]
+    if not tiles:
+        return f"{NOT_YET}: {count} repeats of a tile with a truth"
+    lines = ["| hole from | κ | false holes, % | missed holes, % | hole share, points |", "|---" * 5 + "|"]
+    for least in RULES:
+        found = []
+        for tile in tiles:
+            repeats = traces.of(SHORT, tile)[:count]
+            found.append([compare(repeats.mean(0), traces.truth(tile)[0], hole_probability(repeats) >= least)])
+        row = figures(found)
+        lines.append(f"| P = {least:g} | {written(row['kappa'], 3)} | {written(row['false'])} | {written(row['missed'])} | "
+                     f"{written(row['share'], 2, '+')} |")
+    return "\n".join(lines)
+
+
+def hole_probability(repeats: np.ndarray) -> np.ndarray:
+    """P(hole) as records have it (docs/LABELS.md): Student's t of the level of the mean in dB; 1 where no repeat finds a path."""
+    from scipy import stats
+
+    count, mean = len(repeats), repeats.mean(0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error_db = 10 / math.log(10) * repeats.std(0, ddof=1) / math.sqrt(count) / mean
+        t = 10 * np.log10(HOLE_GAIN / mean) / error_db
+    return np.where(error_db > 0, stats.t.cdf(t, count - 1), (mean < HOLE_GAIN).astype(float))
 
 
 def sensitivity_table(traces: Traces) -> str:
@@ -383,6 +409,7 @@ def report() -> None:
         "Sionna's table of wedges": table_pairs(traces),
         "Independence": independence_table(traces),
         "P(hole)": probability_table(traces),
+        "Holes from a P(hole) on": rule_table(traces),
         "Sensitivity": sensitivity_table(traces),
         "Roughness": roughness_table(traces),
         "Cost": cost_lines(traces),
