@@ -245,7 +245,7 @@ fn holes_are_counted_by_distance_and_density() {
     assert_says(&table, &["from_m,to_m,cells,holes,hole_share,hole_share_low,hole_share_high\n"]);
 
     let groups = report["groups"].as_array().expect("groups");
-    for kind in ["hole_share", "built_share", "height", "region"] {
+    for kind in ["hole_share", "built_share", "height", "footprint", "region"] {
         let of_kind = groups.iter().filter(|group| group["kind"] == kind);
         let maps: u64 = of_kind.map(|group| group["maps"].as_u64().expect("a count")).sum();
         assert_eq!(Some(maps), report["maps"]["evaluated"].as_u64(), "{kind}");

@@ -1,5 +1,6 @@
-//! Parts of the maps: by share of holes, by density and height of buildings, by region.
+//! Parts of the maps: by share of holes, by density, height and size of buildings, by region.
 
+use super::buildings::Buildings;
 use super::report::GroupKind;
 use crate::crs::Utm;
 use crate::grid::TileId;
@@ -12,10 +13,7 @@ const REGION_GAP_M: u64 = 10_000;
 pub(super) struct Traits {
     /// Share of outdoor cells that are holes.
     pub(super) hole_share: f64,
-    /// Share of cells that are occupied.
-    pub(super) built_share: f64,
-    /// Mean height of occupied cells, in metres.
-    pub(super) mean_height_m: f64,
+    pub(super) buildings: Buildings,
 }
 
 /// Whether a value belongs to a stratum.
@@ -48,8 +46,15 @@ const BY_HEIGHT: [(&str, Belongs); 4] = [
     ("10 to 20 m", |metres| (10.0..20.0).contains(&metres)),
     ("20 m and more", |metres| metres >= 20.0),
 ];
+/// One-family houses cover 100 to 400 m², apartments and shops up to about 2,000 m².
+const BY_FOOTPRINT: [(&str, Belongs); 4] = [
+    ("below 500 m²", |area| area < 500.0),
+    ("500 to 2,000 m²", |area| (500.0..2_000.0).contains(&area)),
+    ("2,000 to 10,000 m²", |area| (2_000.0..10_000.0).contains(&area)),
+    ("10,000 m² and more", |area| area >= 10_000.0),
+];
 
-/// All groups that have a map: by share of holes, density of buildings, height of buildings, region.
+/// All groups that have a map: by share of holes, density, height and size of buildings, region.
 pub(super) fn groups(ids: &[TileId], traits: &[Traits]) -> Vec<Members> {
     let strata = |kind, strata: &[(&str, Belongs)], value: fn(&Traits) -> f64| {
         let members = |&(name, belongs): &(&str, Belongs)| Members {
@@ -61,8 +66,9 @@ pub(super) fn groups(ids: &[TileId], traits: &[Traits]) -> Vec<Members> {
     };
     let by_trait = [
         strata(GroupKind::HoleShare, &BY_HOLES, |of| of.hole_share),
-        strata(GroupKind::BuiltShare, &BY_BUILT_SHARE, |of| of.built_share),
-        strata(GroupKind::Height, &BY_HEIGHT, |of| of.mean_height_m),
+        strata(GroupKind::BuiltShare, &BY_BUILT_SHARE, |of| of.buildings.share),
+        strata(GroupKind::Height, &BY_HEIGHT, |of| of.buildings.mean_height_m),
+        strata(GroupKind::Footprint, &BY_FOOTPRINT, |of| of.buildings.mean_footprint_m2),
     ];
     let by_region = regions(ids).into_iter().map(|maps| Members {
         kind: GroupKind::Region,
@@ -139,12 +145,20 @@ mod tests {
         let ids = vec![id("utm10n_e590000_n4130000"); 6];
         let traits = [0.0, 0.05, 0.1, 0.2, 0.4, 1.0].map(|share| Traits {
             hole_share: share,
-            built_share: share / 2.0,
-            mean_height_m: 30.0 * share,
+            buildings: Buildings {
+                share: share / 2.0,
+                mean_height_m: 30.0 * share,
+                mean_footprint_m2: 20_000.0 * share,
+            },
         });
         let groups = groups(&ids, &traits);
-        let kinds =
-            [GroupKind::HoleShare, GroupKind::BuiltShare, GroupKind::Height, GroupKind::Region];
+        let kinds = [
+            GroupKind::HoleShare,
+            GroupKind::BuiltShare,
+            GroupKind::Height,
+            GroupKind::Footprint,
+            GroupKind::Region,
+        ];
         for kind in kinds {
             let of_kind = groups.iter().filter(|group| group.kind == kind);
             let mut maps: Vec<usize> = of_kind.flat_map(|group| group.maps.clone()).collect();

@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use super::buildings::{Buildings, buildings};
 use super::distance::{DistanceCount, by_distance};
 use super::labels::{Labels, LabelsOnMap, is_sure, is_sure_hole};
 use super::methods;
@@ -120,10 +121,7 @@ pub(super) struct MethodOnMap {
 pub(super) struct MapResult {
     pub(super) outdoor_cells: u64,
     pub(super) hole_cells: u64,
-    /// Occupied cells as a share of all, 0 to 1.
-    pub(super) built_share: f64,
-    /// Mean height of occupied cells, in metres.
-    pub(super) mean_height_m: f64,
+    pub(super) buildings: Buildings,
     /// Outdoor cells and holes by distance to the nearest wall.
     pub(super) distances: Vec<DistanceCount>,
     /// How sure its holes are, if the map tells.
@@ -162,15 +160,10 @@ pub(super) fn evaluate(scene: &Scene, flying: Flying<'_>) -> MapResult {
         let starts = methods::starts(Method::Oracle, place, &config.evaluate);
         labels.on_map(truth, sight, &outdoors, &starts, &config.evaluate.steps)
     });
-    let heights = truth.heights().iter().enumerate();
-    let built = heights.filter(|&(at, _)| truth.is_occupied(truth.cell(at)));
-    let (occupied, heights) =
-        built.fold((0_u64, 0.0), |(count, sum), (_, &height)| (count + 1, sum + f64::from(height)));
     MapResult {
         outdoor_cells: outdoors.len() as u64,
         hole_cells: truth.hole_cells() as u64,
-        built_share: occupied as f64 / (truth.cells() * truth.cells()).max(1) as f64,
-        mean_height_m: heights / occupied.max(1) as f64,
+        buildings: buildings(truth),
         distances: by_distance(truth, &outdoors, chance.as_ref().map(|it| it as _)),
         labels: on_map,
         difficulty: difficulty(scene.hops(sight), &outdoors),

@@ -6,6 +6,7 @@
 //! intervals, paired differences and groups (`summary`).
 
 mod bootstrap;
+mod buildings;
 mod chart;
 mod distance;
 mod figures;

@@ -189,6 +189,8 @@ pub enum GroupKind {
     BuiltShare,
     /// The mean height of their occupied cells.
     Height,
+    /// The mean footprint that an occupied cell belongs to: houses, blocks or halls.
+    Footprint,
     /// Where they are: tiles less than 10 km from the next.
     Region,
 }

@@ -139,13 +139,10 @@ impl Results<'_> {
             .collect()
     }
 
-    /// Scores by share of holes, density and height of buildings, and region.
+    /// Scores by share of holes, density, height and size of buildings, and region.
     pub(super) fn groups(&self) -> Vec<Group> {
-        let traits = |map: &MapResult| Traits {
-            hole_share: map.hole_share(),
-            built_share: map.built_share,
-            mean_height_m: map.mean_height_m,
-        };
+        let traits =
+            |map: &MapResult| Traits { hole_share: map.hole_share(), buildings: map.buildings };
         let traits: Vec<Traits> = self.maps.iter().map(traits).collect();
         groups(self.ids, &traits).into_iter().map(|members| self.group(members, &traits)).collect()
     }

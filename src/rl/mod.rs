@@ -42,5 +42,6 @@ pub use returns::Recent;
 pub use sight::{ActionSet, Sight};
 pub use symmetry::Symmetry;
 pub use world::World;
+pub(crate) use world::neighbours;
 #[cfg(test)]
 pub(crate) use world::tests::world as drawn_world;

@@ -369,7 +369,7 @@ fn is_wall(cells: usize, occupied: &[bool], cell: Cell) -> bool {
 }
 
 /// The four cells beside a cell.
-fn neighbours(cell: Cell) -> [Cell; 4] {
+pub(crate) fn neighbours(cell: Cell) -> [Cell; 4] {
     [(-1, 0), (0, -1), (0, 1), (1, 0)].map(|(row, column)| cell + Cell::new(row, column))
 }
 
