@@ -37,26 +37,28 @@ def scene_for(store: Path, job: Job, settings: Settings) -> Scene:
     return read_scene(scene_of(store, job.set, settings, job.tile), options)
 
 
-def trace_one(tracer: Tracer, store: Path, job: Job, settings: Settings) -> float:
-    """Traces and keeps one job; returns the seconds that the solver took."""
+def trace_together(tracer: Tracer, store: Path, jobs: list[Job], settings: Settings) -> float:
+    """Traces and keeps repeats of a set on a tile, which share their wedges; returns the seconds that the solver took."""
     from sionna.rt import Transmitter, load_scene
 
-    scene = scene_for(store, job, settings)
+    scene = scene_for(store, jobs[0], settings)
     loaded = load_scene(str(scene.xml.resolve()), merge_shapes=False)
     check_loaded(loaded, scene)
     loaded.frequency = scene.metadata["frequency_hz"]
     loaded.tx_array = tracer.array
     loaded.add(Transmitter("base-station", position=scene.base_stations[0]))
-    shift = shift_of(settings["seed"], job.tile, 0, job.repeat)
+    shifts = [shift_of(settings["seed"], job.tile, 0, job.repeat) for job in jobs]
     wall, cpu = time.monotonic(), time.process_time()
-    path_gain = tracer.solve(loaded, scene, shift)
-    cost = {"wall_s": round(time.monotonic() - wall, 2), "cpu_s": round(time.process_time() - cpu, 2), "load": os.getloadavg()[0]}
-    path = job.path(store)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    maps = tracer.solve_repeats(loaded, scene, shifts)
+    wall, cpu = time.monotonic() - wall, time.process_time() - cpu
+    cost = {"wall_s": round(wall / len(jobs), 2), "cpu_s": round(cpu / len(jobs), 2), "load": os.getloadavg()[0]}
     kept = {key: settings[key] for key in SCENE_KEYS if key in settings}
-    arrays = {"path_gain": path_gain, "cost_json": np.frombuffer(json.dumps(cost).encode(), dtype=np.uint8)}
-    write_map(path, arrays, scene.metadata | kept | {"repeat": job.repeat, "direction_shift": "random"}, ".part")
-    return cost["wall_s"]
+    for job, path_gain in zip(jobs, maps, strict=True):
+        path = job.path(store)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        arrays = {"path_gain": path_gain, "cost_json": np.frombuffer(json.dumps(cost).encode(), dtype=np.uint8)}
+        write_map(path, arrays, scene.metadata | kept | {"repeat": job.repeat, "direction_shift": "random"}, ".part")
+    return wall
 
 
 def prepare_once(store: Path) -> None:
@@ -87,7 +89,9 @@ def trace(store: Path) -> None:
         job = next((job for job in queue(study, tiles) if job not in packed and not job.path(store).exists()), None)
         if job is None:
             return
-        seconds = trace_one(tracer, store, job, study["sets"][job.set])
+        settings = study["sets"][job.set]
+        jobs = [Job(job.set, job.tile, repeat) for repeat in range(settings["shared"])] if "shared" in settings else [job]
+        seconds = trace_together(tracer, store, jobs, settings)
         say(f"{time.strftime('%H:%M:%S')} {job.set} {job.tile} {job.repeat}: {seconds:.1f} s")
 
 

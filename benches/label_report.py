@@ -14,10 +14,12 @@ from label_packs import FOLDER, load_tiles, path_gain_of, read_packs
 from label_store import planned, read_study
 
 LONG, SHORT = "w1e8", "w1e7"
+# As sionna_trace.py traces: eight repeats that share their wedges.
+CHOSEN, REPEATS = "s1e7", 8
 GROUPS = (1, 2, 4, 8, 16)
 RULES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 # Sets of rays: those that hardly lose a wedge, and those with Sionna's own table.
-RAYS = ("w4e6", SHORT, LONG, "w1e9", "r1e7", "r1e8")
+RAYS = ("w4e6", SHORT, CHOSEN, LONG, "w1e9", "r1e7", "r1e8")
 NOT_YET = "not traced yet"
 SENSITIVITY = {
     "depth3": "depth 3 instead of 5", "depth8": "depth 8", "no_diffraction": "no diffraction", "brick": "walls of brick",
@@ -47,19 +49,23 @@ class Traces:
 
     def title(self, name: str) -> str:
         """What a set is, in a table."""
-        own_table = ", Sionna's table" if name.startswith("r") else ""
-        return f"{rays(self.samples[name])}{own_table}"
+        special = {"r": ", Sionna's table", "s": ", shared wedges"}.get(name[0], "")
+        return f"{rays(self.samples[name])}{special}"
+
+    def groups(self, name: str) -> list[int]:
+        """How many repeats of a set make a map. Those that share their wedges are a map together only."""
+        return [group for group in GROUPS if group <= self.planned[name] and (name != CHOSEN or group == REPEATS)]
 
     def of(self, name: str, tile: str) -> np.ndarray:
         """Repeats of a set on a tile; none if it was not traced."""
         return self.gains.get(name, {}).get(tile, np.zeros((0, self.outdoor[tile].sum())))
 
     def truth(self, tile: str, without: str = "", left_out: slice = slice(0)) -> tuple[np.ndarray, float]:
-        """Mean of the long traces and, of a candidate among them, of the short ones too; and the rays in it.
+        """Mean of the long traces and, of a candidate among them, of short ones too; and the rays in it.
 
         What the candidate is made of is left out: `left_out` of the repeats of set `without`.
         """
-        long, short = self.of(LONG, tile), self.of(SHORT, tile)
+        long, short = self.of(LONG, tile), max(self.of(CHOSEN, tile), self.of(SHORT, tile), key=len)
         if without == LONG:
             long = np.delete(long, left_out, 0)
         pools = [(long, self.samples[LONG])] + ([(short, self.samples[SHORT])] if without == LONG else [])
@@ -135,7 +141,7 @@ def curves(traces: Traces) -> list[Point]:
     """All rays and repeats that were traced."""
     points = []
     for name in RAYS:
-        for group in GROUPS:
+        for group in traces.groups(name):
             tiles = [tile for tile in traces.outdoor if len(traces.of(name, tile)) >= group]
             found, truth = comparisons(traces, name, group, tiles)
             if found:
@@ -153,7 +159,7 @@ def curve_table(traces: Traces, points: list[Point]) -> str:
     lines = [f"| rays x repeats | s | tiles | truth, rays | {HEAD} |", "|---" * (FIGURE_COLUMNS + 4) + "|"]
     found = {(point.name, point.group): point for point in points}
     for name in RAYS:
-        for group in (group for group in GROUPS if group <= traces.planned[name]):
+        for group in traces.groups(name):
             title = f"{traces.title(name)} x {group}"
             if point := found.get((name, group)):
                 took = seconds(traces, name, point.samples * group)
@@ -166,7 +172,7 @@ def curve_table(traces: Traces, points: list[Point]) -> str:
 def twin_table(traces: Traces) -> str:
     """Two independent traces of as many rays, each held against the other: no truth is needed."""
     lines = ["| rays | tiles | κ | holes that are none in the other, % | rms, dB |", "|---" * 5 + "|"]
-    for name in (name for name in RAYS if traces.planned[name] > 1):
+    for name in (name for name in RAYS if traces.planned[name] > 1 and name != CHOSEN):
         tiles = [tile for tile in traces.outdoor if len(traces.of(name, tile)) >= 2]
         if tiles:
             pairs = [traces.of(name, tile)[:2] for tile in tiles]
@@ -192,42 +198,44 @@ def table_pairs(traces: Traces) -> str:
 
 def truth_table(traces: Traces) -> str:
     """The same map against truths of more and more rays: how much of the disagreement is the truth's own."""
-    most = max((len(found) for found in traces.gains.get(LONG, {}).values()), default=1)
-    tiles = [tile for tile in traces.outdoor if len(traces.of(LONG, tile)) == most and len(traces.of(SHORT, tile)) >= 8]
+    complete = [tile for tile in traces.outdoor if len(traces.of(CHOSEN, tile)) >= REPEATS]
+    most = max((len(traces.of(LONG, tile)) for tile in complete), default=1)
+    tiles = [tile for tile in complete if len(traces.of(LONG, tile)) == most]
     if not tiles:
-        return f"{NOT_YET}: 8 short and {most} long traces of a tile"
-    lines = [f"| truth, rays | {HEAD} |", "|---" * (FIGURE_COLUMNS + 1) + "|"]
+        return f"{NOT_YET}: {REPEATS} repeats and {most} long traces of a tile"
+    lines = [f"| truth, rays | tiles | {HEAD} |", "|---" * (FIGURE_COLUMNS + 2) + "|"]
     for count in range(1, most + 1):
-        found = [[compare(traces.of(SHORT, tile)[:8].mean(0), traces.of(LONG, tile)[begin:begin + count].mean(0))
+        found = [[compare(traces.of(CHOSEN, tile)[:REPEATS].mean(0), traces.of(LONG, tile)[begin:begin + count].mean(0))
                   for begin in range(0, most - count + 1, count)] for tile in tiles]
-        lines.append(row(rays(count * traces.samples[LONG]), figures(found)))
+        lines.append(row(f"{rays(count * traces.samples[LONG])} | {len(tiles)}", figures(found)))
     return "\n".join(lines)
 
 
 def independence_table(traces: Traces) -> str:
-    """Correlation and the law of 1 / R on real tiles."""
-    tiles = [tile for tile in traces.outdoor if len(traces.of(SHORT, tile)) >= 8 and len(traces.of(LONG, tile)) >= 3]
+    """Correlation and the law of 1 / R on real tiles, of repeats that share their wedges."""
+    tiles = [tile for tile in traces.outdoor
+             if len(traces.of(CHOSEN, tile)) >= REPEATS and len(traces.of(LONG, tile)) >= 2 and len(traces.of(SHORT, tile)) >= REPEATS]
     if len(tiles) < 2:
-        return f"{NOT_YET}: 8 short and 3 long traces of two tiles"
+        return f"{NOT_YET}: {REPEATS} repeats with and without shared wedges and 2 long traces of two tiles"
     parts = []
     for tile in tiles:
-        repeats, long = traces.of(SHORT, tile)[:8], traces.of(LONG, tile)
+        long = traces.of(LONG, tile)
         # In units of a cell's level, so that cells count alike whether they are near or far. Levels come from traces that are neither
         # repeats nor truth: else cells that are low by chance would have smaller units, and repeats would seem to agree.
-        parts.append((repeats, (long[0::3].mean(0), long[1::3].mean(0)), long[2::3].mean(0)))
-    found = scatter(parts, (1, 2, 4, 8))
+        parts.append((traces.of(CHOSEN, tile)[:REPEATS], (long[0::2].mean(0), long[1::2].mean(0)), traces.of(SHORT, tile).mean(0)))
+    found = scatter(parts, (1, 2, 4, REPEATS))
     law = " · ".join(f"R = {group}: {written(figure, 2)}" for group, figure in found.law.items())
     return f"{len(tiles)} tiles: correlation of residuals {written(found.correlation, 3)}; R x variance of the mean of R over that of one: {law}"
 
 
-def probability_table(traces: Traces, count: int = 8) -> str:
+def probability_table(traces: Traces, count: int = REPEATS) -> str:
     """P(hole) by several models of `count` repeats against the holes of the truth: Brier score and calibration."""
     from scipy import stats
 
     shares: dict[str, list[np.ndarray]] = {}
     outcome = []
     for tile in traces.outdoor:
-        repeats, (truth, true_rays) = traces.of(SHORT, tile)[:count], traces.truth(tile)
+        repeats, (truth, true_rays) = traces.of(CHOSEN, tile)[:count], traces.truth(tile)
         if len(repeats) < count or not true_rays:
             continue
         outcome.append(truth < HOLE_GAIN)
@@ -262,16 +270,16 @@ def probability_table(traces: Traces, count: int = 8) -> str:
     return "\n".join(lines)
 
 
-def rule_table(traces: Traces, count: int = 8) -> str:
+def rule_table(traces: Traces, count: int = REPEATS) -> str:
     """The same maps, with holes that are called so from some P(hole) on: what fewer false holes cost in missed ones."""
-    tiles = [tile for tile in traces.outdoor if len(traces.of(SHORT, tile)) >= count and traces.truth(tile)[1]]
+    tiles = [tile for tile in traces.outdoor if len(traces.of(CHOSEN, tile)) >= count and traces.truth(tile)[1]]
     if not tiles:
         return f"{NOT_YET}: {count} repeats of a tile with a truth"
     lines = ["| hole from | κ | false holes, % | missed holes, % | hole share, points |", "|---" * 5 + "|"]
     for least in RULES:
         found = []
         for tile in tiles:
-            repeats = traces.of(SHORT, tile)[:count]
+            repeats = traces.of(CHOSEN, tile)[:count]
             found.append([compare(repeats.mean(0), traces.truth(tile)[0], hole_probability(repeats) >= least)])
         row = figures(found)
         lines.append(f"| P = {least:g} | {written(row['kappa'], 3)} | {written(row['false'])} | {written(row['missed'])} | "
@@ -309,8 +317,8 @@ def roughness_table(traces: Traces) -> str:
     """Local minima, and how much of the steps between neighbouring cells another trace finds again."""
     lines = ["| rays x repeats | tiles | cells below all eight neighbours, % of those reached | rms step to a neighbour, dB | "
              "of its variance recurs in as many other rays, % |", "|---" * 5 + "|"]
-    for name in (SHORT, LONG):
-        for group in (group for group in GROUPS if group <= traces.planned[name]):
+    for name in (SHORT, CHOSEN, LONG):
+        for group in traces.groups(name):
             tiles = [tile for tile in traces.outdoor if len(traces.of(name, tile)) >= group]
             title = f"{traces.title(name)} x {group} | {len(tiles)}"
             if not tiles:
@@ -330,11 +338,11 @@ def roughness_table(traces: Traces) -> str:
 
 def hole_table(traces: Traces) -> str:
     """Every tile: what it is and how its map does."""
-    lines = [f"-: {NOT_YET}.", "", "| tile | built, % | holes of the truth, % | κ of 1.25·10⁷ x 1 | κ of 1.25·10⁷ x 8 | κ of 10⁸ x 1 |", "|---" * 6 + "|"]
+    lines = [f"-: {NOT_YET}.", "", "| tile | built, % | holes of the truth, % | κ of 1.25·10⁷ x 1 | κ of 1.25·10⁷ x 8 | the same, shared wedges | κ of 10⁸ x 1 |", "|---" * 7 + "|"]
     for tile in sorted(traces.outdoor, key=traces.built.get):
         truth, true_rays = traces.truth(tile)
         cells = []
-        for name, group in ((SHORT, 1), (SHORT, 8), (LONG, 1)):
+        for name, group in ((SHORT, 1), (SHORT, REPEATS), (CHOSEN, REPEATS), (LONG, 1)):
             found, _ = comparisons(traces, name, group, [tile])
             cells.append(f"{figures(found)['kappa'][0]:.3f}" if found else "-")
         share = f"{100 * (truth < HOLE_GAIN).mean():.1f}" if true_rays else "-"
@@ -404,7 +412,7 @@ def report() -> None:
     points = curves(traces)
     parts = {
         "Rays and repeats against the truth": curve_table(traces, points),
-        "1.25·10⁷ x 8 against truths of more and more rays": truth_table(traces),
+        "1.25·10⁷ x 8, shared wedges, against truths of more and more rays": truth_table(traces),
         "Two traces of as many rays": twin_table(traces),
         "Sionna's table of wedges": table_pairs(traces),
         "Independence": independence_table(traces),

@@ -49,7 +49,6 @@ an existing map does not fit. Tasks (`--task-count`) say 42 instead of 2 and 3: 
 """
 
 import argparse
-import contextlib
 import json
 import math
 import os
@@ -75,7 +74,7 @@ from sionna_files import (
     sionna_version,
     write_map,
 )
-from sionna_repeats import Shift, ceiling_of, combine, shift_of, shifted_directions, wedge_table
+from sionna_repeats import SharedWedges, Shift, ceiling_of, combine, shift_of, shifted_directions, wedge_table
 from sionna_tasks import PERMANENT, Busy, add_arguments, locked, part_suffix, task_of
 
 VARIANTS = ("cuda_ad_mono_polarized", "llvm_ad_mono_polarized")
@@ -86,7 +85,7 @@ LLVM_FOLDERS = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/u
 MOST_SAMPLES = 2**32 - 1
 # Of 6,400 wedges that a base station of San Jose sees, Sionna's table keeps seven tenths; this one loses fewer than 1 %, for 3 to 4 % of time.
 REPEATED_WEDGE_TABLE = 1_000_000
-# Enough to tell an error by, and each has rays enough to find its wedges (docs/LABELS.md).
+# Enough to tell an error by (docs/LABELS.md).
 REPEATS = 8
 # Share of edges without an opposite face that is told, but let pass: where a building touches itself.
 OPEN_EDGES = 0.01
@@ -158,39 +157,52 @@ class Tracer:
         repeats = scene.metadata.get("repeats", 1)
         if repeats == 1:
             return {"path_gain": self.solve(loaded, scene)}
-        maps = [self.solve(loaded, scene, shift_of(scene.metadata["seed"], scene.ident, base_station, repeat)) for repeat in range(repeats)]
-        arrays, shone = combine(np.array(maps), ceiling_of(scene.metadata, scene.base_stations[base_station]))
+        shifts = [shift_of(scene.metadata["seed"], scene.ident, base_station, repeat) for repeat in range(repeats)]
+        ceiling = ceiling_of(scene.metadata, scene.base_stations[base_station])
+        arrays, shone = combine(self.solve_repeats(loaded, scene, shifts), ceiling)
         if shone:
             say(f"{scene.ident}: {shone} cells of {repeats} repeats lay {CEILING_DB:g} dB above free space, the other repeats count there")
         return arrays
 
-    def solve(self, loaded: Any, scene: Scene, shift: Shift | None = None) -> np.ndarray:
-        """Path gain of the one base station of a scene of Sionna, [rows, columns], float32; in shifted directions if told so."""
-        metadata = scene.metadata
-        shifted = shifted_directions(shift, metadata["samples_per_tx"]) if shift else contextlib.nullcontext()
-        with shifted, wedge_table(metadata.get("wedge_table", WEDGE_TABLE)):
-            path_gain = self.call(loaded, metadata, shift.seed if shift else metadata["seed"])
-        if path_gain.shape != (1, scene.grid, scene.grid):
-            raise InvalidInput(f"expected a map of {scene.grid} x {scene.grid} cells, Sionna gave {path_gain.shape}")
-        if not (np.isfinite(path_gain).all() and (path_gain >= 0).all()):
-            raise InvalidInput("expected path gains of 0 or more, Sionna gave others")
-        return path_gain[0].astype(np.float32)
+    def solve_repeats(self, loaded: Any, scene: Scene, shifts: list[Shift]) -> np.ndarray:
+        """Path gain of the one base station of a scene of Sionna, [repeats, rows, columns], float32: a repeat for each shift."""
+        shared = SharedWedges(self.solver)
+        radio_maps = []
+        for shift in shifts:
+            with shared.only_shooting(), shifted_directions(shift, scene.metadata["samples_per_tx"]):
+                radio_maps.append(self.call(loaded, scene.metadata, shift.seed))
+        shared.add_diffraction([shift.seed for shift in shifts])
+        return np.array([path_gain_of(radio_map, scene) for radio_map in radio_maps])
 
-    def call(self, loaded: Any, metadata: Metadata, seed: int) -> np.ndarray:
-        """What Sionna gives for a scene with these metadata."""
-        radio_map = self.solver(
-            loaded,
-            center=[0.0, 0.0, metadata["rx_height_m"]],
-            orientation=[0.0, 0.0, 0.0],
-            size=[metadata["map_size_m"]] * 2,
-            cell_size=[metadata["cell_size_m"]] * 2,
-            samples_per_tx=metadata["samples_per_tx"],
-            max_depth=metadata["max_depth"],
-            refraction=metadata["refraction"],
-            diffraction=metadata["diffraction"],
-            seed=seed,
-        )
-        return radio_map.path_gain.numpy()
+    def solve(self, loaded: Any, scene: Scene) -> np.ndarray:
+        """Path gain of the one base station of a scene of Sionna, [rows, columns], float32, in Sionna's own directions."""
+        return path_gain_of(self.call(loaded, scene.metadata, scene.metadata["seed"]), scene)
+
+    def call(self, loaded: Any, metadata: Metadata, seed: int) -> Any:
+        """The radio map of a scene with these metadata."""
+        with wedge_table(metadata.get("wedge_table", WEDGE_TABLE)):
+            return self.solver(
+                loaded,
+                center=[0.0, 0.0, metadata["rx_height_m"]],
+                orientation=[0.0, 0.0, 0.0],
+                size=[metadata["map_size_m"]] * 2,
+                cell_size=[metadata["cell_size_m"]] * 2,
+                samples_per_tx=metadata["samples_per_tx"],
+                max_depth=metadata["max_depth"],
+                refraction=metadata["refraction"],
+                diffraction=metadata["diffraction"],
+                seed=seed,
+            )
+
+
+def path_gain_of(radio_map: Any, scene: Scene) -> np.ndarray:
+    """Path gain of the one base station of a radio map, [rows, columns], float32. Raises InvalidInput if it is none."""
+    path_gain = radio_map.path_gain.numpy()
+    if path_gain.shape != (1, scene.grid, scene.grid):
+        raise InvalidInput(f"expected a map of {scene.grid} x {scene.grid} cells, Sionna gave {path_gain.shape}")
+    if not (np.isfinite(path_gain).all() and (path_gain >= 0).all()):
+        raise InvalidInput("expected path gains of 0 or more, Sionna gave others")
+    return path_gain[0].astype(np.float32)
 
 
 def check_loaded(loaded: Any, scene: Scene) -> None:

@@ -50,23 +50,29 @@ def options(samples: int | None, repeats: int = 1, diffraction: bool = True, see
 
 @pytest.fixture(scope="module")
 def many(tmp_path_factory: pytest.TempPathFactory) -> Many:
-    """Traces a scene many times; each [repeat, row, column]. Without shifts repeats differ in Sionna's seed only."""
+    """Traces a scene many times; each [repeat, row, column]. So many repeats `share` their wedges. Without shifts repeats differ in
+    Sionna's seed only.
+    """
     folder = write_scene(tmp_path_factory.mktemp("scenes") / "one", [STATION])
     sionna_trace.start_sionna(None)
     tracer = sionna_trace.Tracer()
     from sionna.rt import Transmitter, load_scene
 
     def traces(samples: int, repeats: int, seed: int, *, shifted: bool = True, diffraction: bool = True,
-               places: int = sionna_files.WEDGE_TABLE) -> np.ndarray:
+               places: int = sionna_files.WEDGE_TABLE, share: int = 1) -> np.ndarray:
         scene = sionna_files.read_scene(folder, options(samples, 1, diffraction, seed))
         scene.metadata["wedge_table"] = places
         loaded = load_scene(str(scene.xml), merge_shapes=False)
         loaded.frequency, loaded.tx_array = 3.5e9, tracer.array
         loaded.add(Transmitter("base-station", position=STATION))
+        shifts = [sionna_repeats.shift_of(seed, scene.ident, 0, repeat) for repeat in range(repeats)]
         maps = []
-        for shift in (sionna_repeats.shift_of(seed, scene.ident, 0, repeat) for repeat in range(repeats)):
-            scene.metadata["seed"] = shift.seed
-            maps.append(tracer.solve(loaded, scene, shift if shifted else None))
+        for begin in range(0, repeats, share):
+            if shifted:
+                maps.extend(tracer.solve_repeats(loaded, scene, shifts[begin:begin + share]))
+            else:
+                scene.metadata["seed"] = shifts[begin].seed
+                maps.append(tracer.solve(loaded, scene))
         return np.array(maps, dtype=float)
 
     return traces
@@ -269,6 +275,38 @@ def test_wedges_whose_place_is_taken_are_lost(many: Many, monkeypatch: pytest.Mo
     monkeypatch.setattr(RadioMapSolver, "_WEDGE_INTERSECTIONS_SIZE", 20_000)
     with pytest.raises(sionna_files.InvalidInput, match="expected _WEDGE_INTERSECTIONS_SIZE of 10000"), sionna_repeats.wedge_table(5):
         pass
+
+
+def test_repeats_diffract_at_the_wedges_that_any_of_them_found(many: Many) -> None:
+    # So few rays that a repeat misses most of the 21 edges.
+    own, shared = (many(1000, 16, seed=9, share=share) for share in (1, 16))
+    shadow = many(FEW, 4, seed=8, diffraction=False).mean(0) == 0
+    reached_by_own, reached = ((repeats[:, shadow] > 0).mean() for repeats in (own, shared))
+    assert reached > 2 * reached_by_own
+    # In the light hardly anything is diffracted.
+    assert shared[:, ~shadow].sum() == pytest.approx(own[:, ~shadow].sum(), rel=0.01)
+
+
+def test_one_repeat_alone_is_what_the_solver_gives(tmp_path: Path) -> None:
+    sionna_trace.start_sionna(None)
+    folder = write_scene(tmp_path / "one", [STATION])
+    scene = sionna_files.read_scene(folder, options(FEW))
+    from sionna.rt import Transmitter, load_scene
+
+    tracer = sionna_trace.Tracer()
+    loaded = load_scene(str(scene.xml), merge_shapes=False)
+    loaded.frequency, loaded.tx_array = 3.5e9, tracer.array
+    loaded.add(Transmitter("base-station", position=STATION))
+    shift = sionna_repeats.Shift(0.25, 0.75, 5)
+    with sionna_repeats.shifted_directions(shift, FEW):
+        expected = sionna_trace.path_gain_of(tracer.call(loaded, scene.metadata, shift.seed), scene)
+    found = tracer.solve_repeats(loaded, scene, [shift])[0]
+    assert np.allclose(found, expected, rtol=1e-4, atol=1e-20)
+
+
+def test_a_solver_without_its_methods_is_refused() -> None:
+    with pytest.raises(sionna_files.InvalidInput, match="shoot and diffract"):
+        sionna_repeats.SharedWedges(object())
 
 
 def test_a_map_holds_mean_error_and_half_of_all_repeats() -> None:
