@@ -350,6 +350,15 @@ bench-train: dataset $(LIBTORCH)/.installed | tools-torch
 	  HOLESCOUT_DATASET=$(abspath $(TRAINED)) TRAIN_BENCH=$(abspath $(TRAIN_BENCH)) \
 	  ENCODE_STATES=$(abspath target/release/examples/encode_states) $(PYTHON) benches/train_vs_pytorch.py
 
+# What each part of the trainer is worth: trains what is missing of the variants to STORE, 40 minutes of two cores each at most.
+LEARNING_FLAGS ?=
+.PHONY: bench-learning
+bench-learning: dataset $(LIBTORCH)/.installed | tools-torch
+	@test -n '$(STORE)' || { echo "say where runs are kept: make bench-learning STORE=dir TRAINED=dataset" >&2; exit 2; }
+	$(TORCH) cargo build --release --locked --features torch
+	HOLESCOUT=$(abspath $(BIN)) $(PYTHON) benches/learning/learning.py train $(TRAINED) $(STORE) $(LEARNING_FLAGS)
+	$(PYTHON) benches/learning/learning.py report $(STORE)
+
 # Records a second against WebDataset and MosaicML Streaming, which need other versions of NumPy than the tests do.
 LOADER_VENV := .venv-loader
 LOADER_BENCH := target/release/loader_bench

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use holescout::config::{RlConfig, Split, TrainConfig};
+use holescout::config::{Loss, RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
 use holescout::rl::agent::{
     Adam, Batch, Batcher, QNetwork, TrainJob, Trainer, keep_freed_memory, loss,
@@ -40,8 +40,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     keep_freed_memory();
     let dataset = Arc::new(Dataset::open(dataset.as_ref())?);
     let rl = RlConfig::default();
-    // The exploration of a run's second half; all of it would make acting free.
-    let train = TrainConfig { epsilon_start: 0.05, warmup: 1024, ..TrainConfig::default() };
+    // The exploration of a run's second half; all of it would make acting free. The network is the one that
+    // the programs it is compared with have: the paper's with a reward head, among permissible actions.
+    let train = TrainConfig {
+        epsilon_start: 0.05,
+        warmup: 1024,
+        loss: Loss::Huber,
+        clip_norm: 10.0,
+        squared_reward: 0.0,
+        reward_prediction: 1.0,
+        dense_terminal: true,
+        mask_actions: true,
+        augment: true,
+        ..TrainConfig::paper()
+    };
     let pool = || MapSource::split(&dataset, Split::Train, &rl, 1 << 30, 0).fill();
     let job = TrainJob { dataset_sha256: "", rl: &rl, train: &train, device };
     let mut trainer = Trainer::new(job, pool()?)?;

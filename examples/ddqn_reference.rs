@@ -7,7 +7,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use holescout::config::{Precision, RlConfig, Split, TrainConfig};
+use holescout::config::{Encoding, Precision, RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
 use holescout::rl::agent::{Batcher, QNetwork, load_weights, loss};
 use holescout::rl::{Environment, MapSource, Random, Recent, load_split};
@@ -28,7 +28,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         [name] if name == "paper" => (TrainConfig::paper(), None),
         // What neither of the presets uses.
         [name] if name == "other" => {
-            (TrainConfig { return_steps: 3, dueling: true, priority_exponent: 0.6, ..best }, None)
+            let other = TrainConfig {
+                return_steps: 3,
+                dueling: true,
+                priority_exponent: 0.6,
+                factored: false,
+                reward_prediction: 1.0,
+                dense_terminal: true,
+                avoid_visited: false,
+                encoding: Encoding::Paper,
+                ..best
+            };
+            (other, None)
         }
         [path, ..] => {
             let (train, network) = load_weights(path.as_ref(), 121, &rl, Device::Cpu)?;
@@ -86,9 +97,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("next_of", &batch.next.of),
         ("next_map", &batch.next.map),
         ("next_window", &batch.next.window),
-        ("next_permissible", &batch.next.permissible),
-        ("all_rewards", batch.all_rewards.as_ref().unwrap_or(&none)),
-        ("all_terminal", batch.all_terminal.as_ref().unwrap_or(&none)),
+        ("next_allowed", &batch.next.allowed),
+        ("all_rewards", batch.all.as_ref().map_or(&none, |all| &all.rewards)),
+        ("all_terminal", batch.all.as_ref().map_or(&none, |all| &all.terminal)),
+        ("all_allowed", batch.all.as_ref().map_or(&none, |all| &all.allowed)),
         ("weights", weights.as_ref().unwrap_or(&none)),
     ];
     Tensor::write_safetensors(&inputs, out.join("inputs.safetensors"))?;
@@ -98,10 +110,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let mut outputs: Vec<(String, Tensor)> =
         policy.named().zip(gradients).map(|((name, _), one)| (name.to_owned(), one)).collect();
-    let q_values = policy.forward(&policy.inputs(&batch.map, &batch.window)).0;
+    let q_values = policy.forward(&policy.inputs(&batch.map, &batch.window)).q;
     outputs.push(("q_values".into(), q_values.detach().contiguous()));
     outputs.push(("loss".into(), parts.total.detach()));
-    outputs.push(("q_loss".into(), parts.q.detach()));
+    let parts = [("q_loss", Some(parts.q)), ("hole_loss", parts.holes)];
+    let parts = parts.into_iter().filter_map(|(name, part)| Some((name, part?)));
+    outputs.extend(parts.map(|(name, part)| (name.to_owned(), part.detach())));
     Tensor::write_safetensors(&outputs, out.join("outputs.safetensors"))?;
     Ok(())
 }

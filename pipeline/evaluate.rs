@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use holescout::config::{Config, Split};
+use holescout::config::{Config, Method, Split};
 use holescout::evaluate::{EvaluateJob, evaluate};
 use holescout::progress::Progress;
 use holescout::rl::policy::MakePolicy;
@@ -20,6 +20,12 @@ pub(crate) fn run(
 ) -> Result<Report, Failure> {
     let agent = args.policy.as_deref().map(|policy| load(policy, args, config)).transpose()?;
     let agent = agent.as_ref().map(|(agent, sha256)| (&**agent, &**sha256));
+    let mut config = config.clone();
+    let methods = &mut config.evaluate.methods;
+    let predictor = agent.and_then(|(agent, _)| agent.predictor());
+    if predictor.is_some() && !methods.contains(&Method::Predictor) {
+        methods.push(Method::Predictor);
+    }
     let job = EvaluateJob {
         dataset: &args.dataset,
         agent,
@@ -29,7 +35,7 @@ pub(crate) fn run(
             SplitChoice::Test => Some(Split::Test),
             SplitChoice::All => None,
         },
-        config,
+        config: &config,
         out: &args.output.out,
         overwrite: args.output.overwrite,
     };

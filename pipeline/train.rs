@@ -8,9 +8,10 @@ use holescout::dataset::Dataset;
 use holescout::evaluate::precision;
 use holescout::progress::Progress;
 use holescout::rl::agent::{
-    Agent, MemoryNeed, Pace, QNetwork, TrainJob, TrainReport, Trainer, Watch, keep_freed_memory,
-    train,
+    Agent, Judgement, MemoryNeed, Pace, QNetwork, TrainJob, TrainReport, Trainer, Watch,
+    keep_freed_memory, train,
 };
+use holescout::rl::policy::MakePolicy;
 use holescout::rl::{MapSource, World, load_sample};
 use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -103,14 +104,27 @@ impl Watch for Watching<'_> {
         ));
     }
 
-    fn judge(&mut self, network: &QNetwork) -> Vec<(u32, f64)> {
+    fn judge(&mut self, network: &QNetwork) -> Judgement {
         let Config { rl, train, .. } = self.config;
-        let agent = Agent::new(network.duplicate(), self.maps[0].cells(), rl, train.mask_actions);
-        let scores = precision(&agent, self.maps, &self.judging);
-        let percent = scores.iter().map(|(k, score)| format!("{:.1} (k = {k})", 100.0 * score));
-        let percent: Vec<String> = percent.collect();
-        self.console.note(&format!("precision in %: {}", percent.join(", ")));
-        scores
+        let agent = Agent::new(network.duplicate(), self.maps[0].cells(), rl, train);
+        let precision = |policy: &dyn MakePolicy| precision(policy, self.maps, &self.judging);
+        let judgement = Judgement {
+            steps: JUDGED_STEPS.to_vec(),
+            policy: precision(&agent),
+            predictor: agent.predictor().map(precision),
+        };
+        let over = judgement.over_predictor();
+        let scores = judgement.precision().into_iter().enumerate().map(|(at, (k, score))| {
+            let over = over.as_ref().map_or_else(String::new, |over| {
+                let (_, difference) = over[at];
+                let [mean, half] = [difference.mean, 1.96 * difference.error].map(|of| 100.0 * of);
+                format!(", {mean:+.1} ± {half:.1} over the predictor")
+            });
+            format!("{:.1} (k = {k}{over})", 100.0 * score)
+        });
+        let scores: Vec<String> = scores.collect();
+        self.console.note(&format!("precision in %: {}", scores.join(", ")));
+        judgement
     }
 
     fn stop(&mut self) -> bool {

@@ -57,6 +57,12 @@ return_steps = 3
 target_share = 0.05
 priority_exponent = 0.6
 dueling = true
+encoding = 'paper'
+factored = false
+reward_prediction = 1.0
+dense_terminal = true
+avoid_visited = false
+anneal_learning_rate = false
 map_memory_mb = 1
 refresh_every = 2
 ";
@@ -190,7 +196,7 @@ fn an_exported_policy_is_what_was_trained() {
     assert_eq!(read(&out.join("weights.safetensors")), read(&best.join("weights.safetensors")));
     let manifest = read_json(&out.join("manifest.json"));
     assert_eq!(manifest["updates"], 12);
-    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/policy.v1.json");
+    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/policy.v2.json");
     let schema = jsonschema::validator_for(&read_json(&schema)).expect("a schema");
     assert!(schema.is_valid(&manifest), "{manifest}");
     assert!(manifest["score"].is_number(), "the best checkpoint was judged");
@@ -277,7 +283,10 @@ fn what_cannot_be_trained_on_is_refused() {
         write(&config, text);
         run(&mut train(&dir.path().join("run"), &config, &[])).refused()
     };
-    assert_says(&refused("[rl]\nreach_cells = 14"), &["31 × 31", "29 × 29", "rl.reach_cells"]);
+    let paper = "[rl]\nreach_cells = 14\n[train]\nencoding = 'paper'";
+    assert_says(&refused(paper), &["31 × 31", "29 × 29", "rl.reach_cells", "train.encoding"]);
+    assert_says(&refused("[train]\nreturn_steps = 2"), &["train.factored", "train.return_steps"]);
+    assert_says(&refused("[train]\nchannels = ['visited']"), &["train.channels", "height"]);
     assert_says(&refused("[train]\nwarmup = 1"), &["train.warmup", "train.batch"]);
     assert_says(&refused("[train]\nreturn_steps = 9"), &["train.return_steps", "1 to 8"]);
     assert_says(
@@ -371,8 +380,8 @@ fn it_learns_a_map_with_a_known_answer() {
     };
     let (first, _, last) = (loss_of(20), loss_of(260), loss_of(20));
     assert!(last < 0.5 * first, "the loss went from {first} to {last}");
-    let agent = Agent::new(trainer.policy().duplicate(), 121, rl, true);
-    let found = |policy: &dyn MakePolicy| precision(policy, &maps, &config)[0].1;
+    let agent = Agent::new(trainer.policy().duplicate(), 121, rl, train);
+    let found = |policy: &dyn MakePolicy| precision(policy, &maps, &config)[0][0];
     let (learned, walked) = (found(&agent), found(&Walking));
     assert!(learned > walked + 0.2, "the agent {learned}, a random walk {walked}");
 }

@@ -19,7 +19,7 @@ pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
 pub use rsrp::{Preset, RsrpConfig};
 pub use scene::{Material, Placement, SceneConfig};
 pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
-pub use train::{Loss, OnDamage, Precision, TrainConfig};
+pub use train::{Channel, Encoding, Loss, OnDamage, Precision, TrainConfig};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

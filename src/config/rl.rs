@@ -113,13 +113,15 @@ pub enum Method {
     Oracle,
     /// `agent`: a trained network, which must be given.
     Agent,
+    /// `predictor`: to where that network finds a hole most likely, without planning.
+    Predictor,
 }
 
 /// A string that names no method.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error(
     "{0:?} is no method (expected rsp, bnp-<metres>, g-rsp, g-rsp-continuous, g-bnp-<metres>, \
-     g-bnp-<metres>-continuous, shadow, random-walk, wall-walk, oracle or agent)"
+     g-bnp-<metres>-continuous, shadow, random-walk, wall-walk, oracle, agent or predictor)"
 )]
 pub struct MethodError(pub String);
 
@@ -137,6 +139,7 @@ impl fmt::Display for Method {
             Self::WallWalk => f.write_str("wall-walk"),
             Self::Oracle => f.write_str("oracle"),
             Self::Agent => f.write_str("agent"),
+            Self::Predictor => f.write_str("predictor"),
         }
     }
 }
@@ -154,6 +157,7 @@ impl FromStr for Method {
             "wall-walk" => Some(Self::WallWalk),
             "oracle" => Some(Self::Oracle),
             "agent" => Some(Self::Agent),
+            "predictor" => Some(Self::Predictor),
             _ => with_distance(name),
         };
         // Only the canonical spelling: `bnp-08` and `bnp-8` must not be two methods.
@@ -195,7 +199,7 @@ impl JsonSchema for Method {
         schemars::json_schema!({
             "type": "string",
             "description": "Name of a method.",
-            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle|agent)$"
+            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle|agent|predictor)$"
         })
     }
 }
@@ -318,7 +322,8 @@ mod tests {
 
     #[test]
     fn method_names_round_trip_and_have_one_spelling() {
-        for method in EvaluateConfig::default().methods.into_iter().chain([Method::Agent]) {
+        let trained = [Method::Agent, Method::Predictor];
+        for method in EvaluateConfig::default().methods.into_iter().chain(trained) {
             assert_eq!(method.to_string().parse(), Ok(method));
         }
         for wrong in ["", "bnp", "bnp-", "bnp-08", "bnp-8m", "g-bnp--continuous", "G-RSP"] {

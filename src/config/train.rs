@@ -19,6 +19,61 @@ pub enum Precision {
     Bfloat16,
 }
 
+/// In which frame the network sees a state, and with it the shape of the network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Encoding {
+    /// `I_A` and `I_B` as published: the whole map where it lies, and its part within reach.
+    Paper,
+    /// Both centred on the UAV: the reach and 15 cells more at full resolution, and the whole map in
+    /// blocks. Shows `train.channels`.
+    Centered,
+}
+
+/// What one channel of the centred encoding shows.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Channel {
+    /// 1 for occupied cells and beyond the map.
+    Occupied,
+    /// 1 beyond the map.
+    Beyond,
+    /// √(h / 4 m) of the height h of buildings.
+    Height,
+    /// Measured levels: the mean of (Z - ε) / 20 dB, weighed by 2^(-c d) at a distance of d cells.
+    Level,
+    /// The sum of these weights.
+    Weight,
+    /// 1 for permissible moves.
+    Permissible,
+    /// 1 for visited cells.
+    Visited,
+    /// 2^(-c d) at a distance of d cells from the UAV (`eqn:encode_loc`).
+    Location,
+}
+
+impl Channel {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Occupied,
+        Self::Beyond,
+        Self::Height,
+        Self::Level,
+        Self::Weight,
+        Self::Permissible,
+        Self::Visited,
+        Self::Location,
+    ];
+
+    /// Whether blocks of the whole map show it too; the others say nothing beyond the reach.
+    #[must_use]
+    pub fn is_coarse(self) -> bool {
+        !matches!(self, Self::Permissible | Self::Visited | Self::Location)
+    }
+}
+
 /// How an error becomes a loss.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -60,8 +115,10 @@ pub struct TrainConfig {
     pub replay: u32,
     /// Transitions before the first update.
     pub warmup: u32,
-    /// Learning rate of Adam.
+    /// Learning rate of Adam, at first.
     pub learning_rate: f64,
+    /// The learning rate falls along a line, to 0 at the last update.
+    pub anneal_learning_rate: bool,
     /// Discount of later rewards (the paper's γ).
     pub discount: f64,
     /// Steps whose rewards a transition adds up before it relies on a Q-value (n-step returns);
@@ -92,16 +149,31 @@ pub struct TrainConfig {
     pub squared_reward: f64,
     /// Weight of the loss of the head that predicts the rewards of all actions; 0 for no such head.
     pub reward_prediction: f64,
+    /// Weight of the cross-entropy of the head that predicts for each move whether it leads to a
+    /// hole, P(hole), over permissible moves to cells not yet visited; 0 for no such head.
+    pub hole_prediction: f64,
+    /// Q-values are (1 - P(hole)) (r + γ V), r being the reward of a step: a network learns
+    /// P(hole) of all moves and V, the value of what follows, of the moves taken.
+    pub factored: bool,
     /// Teach the Q-values of all actions that end the episode, not only of the one taken.
     pub dense_terminal: bool,
     /// Choose among permissible actions only.
     pub mask_actions: bool,
+    /// Neither stay nor return to a visited cell, which is known to be no hole, while there are
+    /// other permissible moves.
+    pub avoid_visited: bool,
     /// Flip and rotate each sample at random, map and action together.
     pub augment: bool,
     /// Q-values are the sum of a state's value and its actions' advantages (dueling network).
     pub dueling: bool,
-    /// Channels of the seven hidden layers: three convolutions and a transposed one over the map,
-    /// two convolutions over the surroundings, a transposed one over both.
+    /// In which frame the network sees a state.
+    pub encoding: Encoding,
+    /// What the centred encoding shows, each once; of no effect on that of the paper.
+    pub channels: Vec<Channel>,
+    /// Channels of the hidden layers. `paper`: three convolutions and a transposed one over the map,
+    /// two convolutions over the surroundings, a transposed one over both. `centered`: three
+    /// convolutions over the whole map, then over the surroundings at full, half and quarter
+    /// resolution, and the last one.
     pub widths: [u32; 7],
     /// Numbers that the network computes with.
     pub precision: Precision,
@@ -137,7 +209,8 @@ impl Default for TrainConfig {
             updates_per_step: 1,
             replay: 1_000_000,
             warmup: 4096,
-            learning_rate: 5e-4,
+            learning_rate: 1e-3,
+            anneal_learning_rate: true,
             discount: 0.99,
             return_steps: 1,
             target_sync: 250,
@@ -150,12 +223,17 @@ impl Default for TrainConfig {
             priority_exponent: 0.0,
             priority_correction: 0.4,
             squared_reward: 0.0,
-            reward_prediction: 1.0,
-            dense_terminal: true,
+            reward_prediction: 0.0,
+            hole_prediction: 1.0,
+            factored: true,
+            dense_terminal: false,
             mask_actions: true,
+            avoid_visited: true,
             augment: true,
             dueling: false,
-            widths: [32, 64, 128, 64, 32, 64, 32],
+            encoding: Encoding::Centered,
+            channels: Channel::ALL.to_vec(),
+            widths: [16, 32, 32, 16, 32, 64, 32],
             precision: Precision::Auto,
             map_memory_mb: 2048,
             refresh_every: 8,
@@ -164,7 +242,7 @@ impl Default for TrainConfig {
             checkpoint_every: 1000,
             evaluate_every: 1000,
             evaluate_maps: 100,
-            evaluate_starts: 50,
+            evaluate_starts: 100,
             patience: 0,
         }
     }
@@ -177,13 +255,30 @@ impl TrainConfig {
     pub fn paper() -> Self {
         Self {
             loss: Loss::Squared,
+            learning_rate: 5e-4,
+            anneal_learning_rate: false,
             clip_norm: 0.0,
             squared_reward: 1.0,
-            reward_prediction: 0.0,
-            dense_terminal: false,
+            hole_prediction: 0.0,
+            factored: false,
             mask_actions: false,
+            avoid_visited: false,
             augment: false,
+            encoding: Encoding::Paper,
+            widths: [32, 64, 128, 64, 32, 64, 32],
             ..Self::default()
+        }
+    }
+
+    /// Channels that the network gets of the whole map, and of the surroundings.
+    #[must_use]
+    pub fn inputs(&self) -> [usize; 2] {
+        match self.encoding {
+            Encoding::Paper => [3; 2],
+            Encoding::Centered => {
+                let coarse = self.channels.iter().filter(|channel| channel.is_coarse()).count();
+                [coarse, self.channels.len()]
+            }
         }
     }
 
@@ -228,10 +323,29 @@ impl TrainConfig {
             ("train.clip_norm", self.clip_norm),
             ("train.squared_reward", self.squared_reward),
             ("train.reward_prediction", self.reward_prediction),
+            ("train.hole_prediction", self.hole_prediction),
         ];
         for (key, value) in weights {
             demand(value >= 0.0 && value.is_finite(), key, value, "0 or more")?;
         }
+        let factored_needs = "false, or train.hole_prediction above 0, train.mask_actions, \
+                              train.return_steps = 1 and no train.dueling";
+        let can_be_factored = self.hole_prediction > 0.0
+            && self.mask_actions
+            && self.return_steps == 1
+            && !self.dueling;
+        demand(!self.factored || can_be_factored, "train.factored", true, factored_needs)?;
+        let avoid_needs = "false, or train.mask_actions";
+        demand(!self.avoid_visited || self.mask_actions, "train.avoid_visited", true, avoid_needs)?;
+        let unique: std::collections::BTreeSet<_> = self.channels.iter().collect();
+        demand(
+            unique.len() == self.channels.len()
+                && self.channels.iter().any(|channel| channel.is_coarse()),
+            "train.channels",
+            format!("{:?}", self.channels),
+            "channels, each once, of which one at least shows the whole map: occupied, beyond, \
+             height, level or weight",
+        )?;
         let rate = self.learning_rate;
         demand(rate > 0.0 && rate < 1.0, "train.learning_rate", rate, "between 0 and 1")?;
         demand(

@@ -83,6 +83,11 @@ pub(super) fn info(method: Method, config: &EvaluateConfig) -> MethodInfo {
             Knows::Measurements,
             "A trained Q-network, told its measurements and the building map.".to_owned(),
         ),
+        Method::Predictor => (
+            "Predictor".into(),
+            Knows::Measurements,
+            "To where the agent's network finds a hole most likely: no planning.".to_owned(),
+        ),
     };
     MethodInfo { name: method, title, description, knows, multi_step: moves(method) }
 }
@@ -134,6 +139,10 @@ pub(super) fn policy<'a>(
         Method::WallWalk => Box::new(WallWalk::new(known)),
         Method::Oracle => Box::new(OptimalWay::new(hops())),
         Method::Agent => agent.expect("checked before anything flies").policy(known),
+        Method::Predictor => {
+            let predictor = agent.and_then(MakePolicy::predictor);
+            predictor.expect("checked before anything flies").policy(known)
+        }
     }
 }
 

@@ -41,6 +41,12 @@ pub enum EvaluateError {
         "evaluate.methods has \"agent\", but no policy was given: pass --policy, or leave it out"
     )]
     NoAgent,
+    /// The method `predictor` is asked for, but the policy predicts no holes.
+    #[error(
+        "evaluate.methods has \"predictor\", but the policy has no head that predicts holes: give one \
+         that was trained with train.hole_prediction above 0, or leave it out"
+    )]
+    NoPredictor,
     /// The split has no records.
     #[error("the {split} split of {dataset} has no records; those that have: {others}")]
     EmptySplit {
@@ -58,7 +64,7 @@ impl HasFault for EvaluateError {
         match self {
             Self::Read(error) => error.fault(),
             Self::Output(error) => error.fault(),
-            Self::NoAgent | Self::EmptySplit { .. } => Fault::Input,
+            Self::NoAgent | Self::NoPredictor | Self::EmptySplit { .. } => Fault::Input,
         }
     }
 }
@@ -99,6 +105,10 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
     let split = job.split.map_or("all", Split::name).to_owned();
     if config.evaluate.methods.contains(&Method::Agent) && job.agent.is_none() {
         return Err(EvaluateError::NoAgent);
+    }
+    let predictor = job.agent.and_then(|(agent, _)| agent.predictor());
+    if config.evaluate.methods.contains(&Method::Predictor) && predictor.is_none() {
+        return Err(EvaluateError::NoPredictor);
     }
     let policy_sha256 = job.agent.map(|(_, sha256)| sha256.to_owned());
     let inputs = (dataset.digest(), &policy_sha256, &split);
@@ -233,24 +243,21 @@ fn summarise(ids: &[TileId], maps: &[MapResult], config: &Config) -> Report {
     }
 }
 
-/// Mean precision of a policy over maps after each of the configured steps, from the configured
-/// starts: what training chooses its best checkpoint by.
+/// Precision of a policy after each of the configured steps, from the configured starts: a value for
+/// each of the steps, of each map that has starts. What training chooses its best checkpoint by.
 #[must_use]
 pub fn precision(
     agent: &dyn MakePolicy,
     maps: &[std::sync::Arc<World>],
     config: &Config,
-) -> Vec<(u32, f64)> {
+) -> Vec<Vec<f64>> {
     let sight = Sight::new(config.rl.reach_cells);
     let flying = Flying { sight: &sight, config, agent: Some(agent) };
     let scene = |map: &World| Scene::new(map.clone(), None, &config.evaluate);
     let results: Vec<MethodOnMap> =
         maps.par_iter().map(|map| scene(map).judged(Method::Agent, flying)).collect();
-    let steps = config.evaluate.steps.iter().enumerate();
-    let mean = |at: usize| {
-        let scores = results.iter().filter_map(|map| map.scores[at].last()?.precision);
-        let scores: Vec<f64> = scores.collect();
-        scores.iter().sum::<f64>() / scores.len().max(1) as f64
+    let of_map = |map: MethodOnMap| -> Option<Vec<f64>> {
+        map.scores.iter().map(|scores| scores.last()?.precision).collect()
     };
-    steps.map(|(at, &k)| (k, mean(at))).collect()
+    results.into_iter().filter_map(of_map).collect()
 }

@@ -29,6 +29,15 @@ pub fn normalised_rsrp(rsrp_dbm: f32, threshold_dbm: f32) -> f32 {
     (rsrp_dbm - threshold_dbm) / -threshold_dbm
 }
 
+/// 2^(-c d) at row and column distance from -`last` to `last`.
+pub(super) fn decay_table(last: i32, decay: f64) -> Vec<f32> {
+    let distance = |row: i32, column: i32| libm::hypot(f64::from(row), f64::from(column));
+    (-last..=last)
+        .flat_map(|row| (-last..=last).map(move |column| (row, column)))
+        .map(|(row, column)| libm::exp2(-decay * distance(row, column)) as f32)
+        .collect()
+}
+
 /// Encodes states of maps of one size.
 #[derive(Debug)]
 pub struct Encoder {
@@ -62,17 +71,11 @@ impl Encoder {
     /// For maps of `cells` × `cells`.
     #[must_use]
     pub fn new(cells: usize, config: &RlConfig) -> Self {
-        let last = cells as i32 - 1;
-        let distance = |row: i32, column: i32| libm::hypot(f64::from(row), f64::from(column));
-        let decay = (-last..=last)
-            .flat_map(|row| (-last..=last).map(move |column| (row, column)))
-            .map(|(row, column)| libm::exp2(-config.encoding_decay * distance(row, column)) as f32)
-            .collect();
         Self {
             cells,
             actions: Actions::new(config.reach_cells),
             height_scale_m: config.height_scale_m as f32,
-            decay,
+            decay: decay_table(cells as i32 - 1, config.encoding_decay),
         }
     }
 

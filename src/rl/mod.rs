@@ -12,10 +12,12 @@
 #[cfg(feature = "torch")]
 pub mod agent;
 mod cell;
+mod centered;
 mod distance;
 mod encode;
 mod env;
 mod flight;
+mod inputs;
 mod oracle;
 pub mod policy;
 mod pool;
@@ -28,12 +30,14 @@ mod world;
 
 pub use crate::random::Random;
 pub use cell::{Actions, Cell};
+pub use centered::CenteredEncoder;
 pub use distance::{neighbourhood, wall_distances_m};
 pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
 pub use env::{Environment, EpisodeState, NothingToLearn, Outcome};
 pub use flight::{
     Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step, rewards_into,
 };
+pub use inputs::StateEncoder;
 pub use oracle::Hops;
 pub use pool::{MapPool, MapSource, PoolError, PoolState, load_sample, load_split};
 pub use priorities::Priorities;

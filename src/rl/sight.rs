@@ -52,6 +52,20 @@ impl ActionSet {
         flags
     }
 
+    /// The moves to cells that were not visited, which are known to be no holes; all moves if no
+    /// others are left over. The UAV is in the cell visited last.
+    #[must_use]
+    pub fn unvisited(&self, actions: Actions, visited: &[Cell]) -> Self {
+        let mut left = self.clone();
+        for &cell in visited {
+            let by = visited.last().map(|&here| cell - here);
+            if let Some(action) = by.and_then(|by| actions.index(by)) {
+                left.words[action / WORD] &= !(1 << (action % WORD));
+            }
+        }
+        if left.words.iter().any(|&word| word > 0) { left } else { self.clone() }
+    }
+
     /// The n-th action, from 0.
     #[must_use]
     pub fn nth(&self, n: usize) -> Option<usize> {
@@ -214,6 +228,20 @@ mod tests {
         );
         assert!(open(map, Cell::new(0, 0), Cell::new(3, 0)), "beside it");
         assert!(open(map, Cell::new(3, 3), Cell::new(3, 3)), "to stay");
+    }
+
+    #[test]
+    fn unvisited_cells_are_left_over_while_there_are_any() {
+        let world = world("..\n##", 3);
+        let (sight, [here, beside]) = (Sight::new(3), [Cell::new(0, 0), Cell::new(0, 1)]);
+        let set = sight.permissible(&world, here);
+        let left = |visited: &[Cell]| {
+            let left = set.unvisited(sight.actions(), visited);
+            left.iter().map(|action| here + sight.actions().offset(action)).collect::<Vec<_>>()
+        };
+        assert_eq!(left(&[here]), [beside]);
+        assert_eq!(left(&[beside, here]), [here, beside], "nowhere else to go");
+        assert_eq!(left(&[Cell::new(0, 9), here]), [beside], "what is out of reach is no move");
     }
 
     #[test]

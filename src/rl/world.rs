@@ -223,6 +223,11 @@ impl World {
         self.height_m.as_slice().expect("grids are stored row by row")
     }
 
+    /// Whether each cell is occupied, row by row.
+    pub(super) fn occupied(&self) -> &[bool] {
+        &self.occupied
+    }
+
     /// Row and column of the base station (which may lie outside of the map), and its height
     /// above the ground in metres.
     #[must_use]

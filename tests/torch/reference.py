@@ -1,53 +1,77 @@
-"""The Q-network and the Double-DQN loss once more, in PyTorch, written down from the paper."""
+"""The Q-networks and the losses once more, in PyTorch: the paper's, and what preset best learns instead."""
 
 import torch
 from torch.nn import functional
 
+Weights = dict[str, torch.Tensor]
 
-def q_values(weights: dict[str, torch.Tensor], whole: torch.Tensor, near: torch.Tensor) -> torch.Tensor:
-    """All outputs, [batch, 1 or 2, 961]: Q-values, and predicted rewards if there is a head for them."""
+
+def outputs_of(weights: Weights, whole: torch.Tensor, near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """What the last layer gets and makes of it, [batch, channels, 31, 31] each."""
 
     def layer(name: str, inputs: torch.Tensor, stride: int = 1) -> torch.Tensor:
         weight, bias = weights[f"{name}.weight"], weights[f"{name}.bias"]
-        return functional.conv2d(inputs, weight, bias, stride, weight.shape[-1] // 2)
+        return functional.conv2d(inputs, weight, bias, stride, 0 if weight.shape[-1] == 7 else weight.shape[-1] // 2)
 
     def transposed(name: str, inputs: torch.Tensor, stride: int = 1) -> torch.Tensor:
         return functional.conv_transpose2d(inputs, weights[f"{name}.weight"], weights[f"{name}.bias"], stride, 1)
 
     for name in ("map.0", "map.1", "map.2"):
         whole = layer(name, whole, 2).relu()
-    whole = transposed("map.3", whole, 2).relu()
-    for name in ("window.0", "window.1"):
-        near = layer(name, near).relu()
-    hidden = transposed("head.0", torch.cat([whole, near], 1)).relu()
-    outputs = transposed("head.1", hidden).flatten(2)
-    if "value.weight" not in weights:
-        return outputs
-    value = functional.linear(hidden.mean((2, 3)), weights["value.weight"], weights["value.bias"])
-    advantages = outputs[:, :1]
-    return torch.cat([advantages - advantages.mean(2, keepdim=True) + value[:, None], outputs[:, 1:]], 1)
+    if "up.0.weight" not in weights:
+        whole = transposed("map.3", whole, 2).relu()
+        for name in ("window.0", "window.1"):
+            near = layer(name, near).relu()
+        hidden = transposed("head.0", torch.cat([whole, near], 1)).relu()
+        return hidden, transposed("head.1", hidden)
+    whole = layer("map.3", whole).relu()
+    full = layer("window.0", near).relu()
+    half = layer("window.2", layer("window.1", full, 2).relu()).relu()
+    quarter = layer("window.4", (layer("window.3", half, 2) + whole).relu()).relu()
+    half = layer("up.1", torch.cat([transposed("up.0", quarter, 2).relu(), half], 1)).relu()
+    up = transposed("up.2", half, 2).relu()
+    # The whole pass is cut in the end only; the trainer cuts as soon as it can.
+    hidden = layer("head.0", torch.cat([up, full], 1)[..., 15:-15, 15:-15]).relu()
+    return hidden, layer("head.1", hidden)
 
 
-def loss(
-    policy: dict[str, torch.Tensor], target: dict[str, torch.Tensor], batch: dict[str, torch.Tensor], preset: str
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """What is minimised, and its part of Q-values."""
+def q_values(weights: Weights, whole: torch.Tensor, near: torch.Tensor, preset: str) -> dict[str, torch.Tensor]:
+    """Q-values, [batch, 961], and what else there is a head for."""
+    hidden, outputs = outputs_of(weights, whole, near)
+    first, *others = outputs.flatten(2).unbind(1)
+    if preset == "best":
+        (holes,) = others
+        return {"q": (1 - holes.sigmoid()) * (-0.25 + 0.99 * first), "following": first, "holes": holes}
+    if "value.weight" in weights:
+        value = functional.linear(hidden.mean((2, 3)), weights["value.weight"], weights["value.bias"])
+        first = first - first.mean(1, keepdim=True) + value
+    return {"q": first} | dict(zip(("rewards", "holes"), others, strict=False))
+
+
+def loss(policy: Weights, target: Weights, batch: dict[str, torch.Tensor], preset: str) -> dict[str, torch.Tensor]:
+    """What is minimised, and its parts."""
     with torch.no_grad():
-        online = q_values(policy, batch["next_map"], batch["next_window"])[:, 0]
+        online = q_values(policy, batch["next_map"], batch["next_window"], preset)["q"]
         if preset != "paper":
-            online = online.masked_fill(batch["next_permissible"] == 0, -torch.inf)
+            online = online.masked_fill(batch["next_allowed"] == 0, -torch.inf)
         best = online.argmax(1)
-        value = q_values(target, batch["next_map"], batch["next_window"])[torch.arange(len(best)), 0, best]
+        value = q_values(target, batch["next_map"], batch["next_window"], preset)["q"]
+        value = value[torch.arange(len(best)), best]
         y = batch["reward"].index_add(0, batch["next_of"], batch["discount"] * value)
-    outputs = q_values(policy, batch["map"], batch["window"])
-    q = outputs[:, 0]
-    taken = q[torch.arange(len(y)), batch["action"]]
+    outputs = q_values(policy, batch["map"], batch["window"], preset)
+    q, rows = outputs["q"], torch.arange(len(y))
     if preset == "paper":
-        q_loss = ((y - taken) ** 2).mean()
-        return q_loss + (batch["reward"] ** 2).mean(), q_loss
-    errors = functional.huber_loss(taken, y, reduction="none")
-    q_loss = (errors * batch["weights"]).mean() if preset == "other" else errors.mean()
-    terminal = batch["all_terminal"]
-    dense = (functional.huber_loss(q, torch.zeros_like(q), reduction="none") * terminal).sum() / terminal.sum().clamp(1)
-    rewards = ((outputs[:, 1] - batch["all_rewards"]) ** 2).mean()
-    return q_loss + dense + rewards, q_loss
+        q_loss = ((y - q[rows, batch["action"]]) ** 2).mean()
+        return {"loss": q_loss + (batch["reward"] ** 2).mean(), "q_loss": q_loss}
+    terminal, allowed = batch["all_terminal"], batch["all_allowed"]
+    errors = functional.binary_cross_entropy(outputs["holes"].sigmoid(), terminal, reduction="none")
+    hole_loss = torch.stack([row[of > 0].mean() for row, of in zip(errors, allowed, strict=True)]).mean()
+    if preset == "best":
+        following = outputs["following"][rows, batch["action"]][batch["next_of"]]
+        q_loss = functional.huber_loss(following, value)
+        return {"loss": q_loss + hole_loss, "q_loss": q_loss, "hole_loss": hole_loss}
+    errors = functional.huber_loss(q[rows, batch["action"]], y, reduction="none")
+    q_loss = (errors * batch["weights"]).mean()
+    dense = functional.huber_loss(q[terminal > 0], torch.zeros_like(q[terminal > 0]))
+    rewards = ((outputs["rewards"] - batch["all_rewards"]) ** 2).mean()
+    return {"loss": q_loss + dense + rewards + hole_loss, "q_loss": q_loss, "hole_loss": hole_loss}

@@ -57,14 +57,19 @@ def test_tensorboard_reads_the_events(tmp_path: Path) -> None:
     assert len(lines) == 3, "one report, two judgements"
     for line in lines:
         update = line.pop("update")
-        line |= {f"precision/{k}": value for k, value in line.pop("precision", {}).items()}
+        for name in [name for name, value in line.items() if isinstance(value, dict)]:
+            line |= {f"{name}/{k}": value for k, value in line.pop(name).items()}
         for name, value in line.items():
             if value is not None:
                 assert dict(found[name])[update] == pytest.approx(value), name
     assert [step for step, _ in found["precision/1"]] == [12, UPDATES]
 
 
-@pytest.mark.parametrize("options", ["", "dueling = true\n", "reward_prediction = 0.0\n"])
+PLAIN = "factored = false\nhole_prediction = 0.0\n"
+PAPER = f"encoding = 'paper'\n{PLAIN}"
+
+
+@pytest.mark.parametrize("options", ["", f"{PLAIN}dueling = true\n", PAPER, f"{PAPER}dueling = true\n", f"{PAPER}reward_prediction = 1.0\n"])
 def test_the_card_of_a_policy_tells_how_to_use_it(tmp_path: Path, options: str) -> None:
     run, policy, reference = train(tmp_path, options), tmp_path / "policy", tmp_path / "reference"
     holescout("export-policy", run / "best", "--out", policy)

@@ -12,16 +12,16 @@ use super::encoding::{DeviceEncoder, Reference};
 use crate::config::{RlConfig, TrainConfig};
 use crate::rl::policy::View;
 use crate::rl::{
-    ActionSet, Cell, Encoder, Measurement, Random, Sight, State, Symmetry, Transition, World,
+    ActionSet, Cell, Measurement, Random, Sight, State, StateEncoder, Symmetry, Transition, World,
     rewards_into,
 };
 
-/// A batch of transitions; states as [`Encoder`] writes them.
+/// A batch of transitions; states as [`StateEncoder`] writes them.
 #[derive(Debug)]
 pub struct Batch {
-    /// `I_A` before the step, `[batch, 3, L, L]`.
+    /// The map before the step, `[batch, channels, rows, columns]`.
     pub map: Tensor,
-    /// `I_B` before the step, `[batch, 3, 2l + 1, 2l + 1]`.
+    /// The window before the step, `[batch, channels, rows, columns]`.
     pub window: Tensor,
     /// The actions taken, `[batch]`.
     pub action: Tensor,
@@ -29,10 +29,20 @@ pub struct Batch {
     pub reward: Tensor,
     /// The states after the steps.
     pub next: Next,
-    /// The rewards of all actions before the step, `[batch, actions]`, if they are to be learned.
-    pub all_rewards: Option<Tensor>,
-    /// 1 for actions that would end the episode, `[batch, actions]`, if they are to be learned.
-    pub all_terminal: Option<Tensor>,
+    /// What is known of all actions before the step, if it is to be learned.
+    pub all: Option<All>,
+}
+
+/// What is known of all actions in each state of a batch, `[batch, actions]` each.
+#[derive(Debug)]
+pub struct All {
+    /// The rewards.
+    pub rewards: Tensor,
+    /// 1 for actions that would end the episode: permissible moves to holes.
+    pub terminal: Tensor,
+    /// 1 for actions that may be chosen: permissible ones, and if visited cells are avoided, those
+    /// that lead elsewhere.
+    pub allowed: Tensor,
 }
 
 /// The states after the steps of those transitions of a batch that do not end at a hole: no other
@@ -41,12 +51,12 @@ pub struct Batch {
 pub struct Next {
     /// Positions of the transitions in the batch, `[nexts]`.
     pub of: Tensor,
-    /// `I_A`, `[nexts, 3, L, L]`.
+    /// The map, `[nexts, channels, rows, columns]`.
     pub map: Tensor,
-    /// `I_B`, `[nexts, 3, 2l + 1, 2l + 1]`.
+    /// The window, `[nexts, channels, rows, columns]`.
     pub window: Tensor,
-    /// 1 for permissible actions, `[nexts, actions]`.
-    pub permissible: Tensor,
+    /// 1 for actions that may be chosen, as in [`All::allowed`], `[nexts, actions]`.
+    pub allowed: Tensor,
     /// What a Q-value is worth: γ for each step, `[nexts]`.
     pub discount: Tensor,
 }
@@ -55,7 +65,7 @@ pub struct Next {
 #[derive(Debug)]
 pub struct Batcher {
     maps: Maps,
-    encoder: Encoder,
+    encoder: StateEncoder,
     buffers: RefCell<Buffers>,
     device: Device,
     /// If states are encoded elsewhere than on the CPU.
@@ -70,8 +80,9 @@ struct Maps {
     /// With their numbers.
     held: Vec<(u32, Arc<World>)>,
     places: HashMap<u32, usize>,
-    /// Whether all rewards are learned, or the Q-values of all actions that end the episode.
+    /// Whether anything is learned of all actions.
     learns_all: bool,
+    avoids_visited: bool,
 }
 
 /// What a UAV has measured in cells of a map.
@@ -104,11 +115,18 @@ impl Batcher {
         there: bool,
     ) -> Self {
         let cells = maps.first().expect("there are maps").1.cells();
-        let encoder = Encoder::new(cells, rl);
-        let on_device = there.then(|| DeviceEncoder::new(&encoder, maps.len(), rl, device));
+        let encoder = StateEncoder::new(cells, rl, train);
+        let on_device = match &encoder {
+            StateEncoder::Paper(encoder) if there => {
+                Some(DeviceEncoder::new(encoder, maps.len(), rl, device))
+            }
+            _ => None,
+        };
         let (sight, places) = (Sight::new(rl.reach_cells), HashMap::new());
-        let learns_all = train.reward_prediction > 0.0 || train.dense_terminal;
-        let held = Maps { sight, held: maps.clone(), places, learns_all };
+        let predicts = train.reward_prediction > 0.0 || train.hole_prediction > 0.0;
+        let learns_all = predicts || train.dense_terminal;
+        let avoids_visited = train.avoid_visited;
+        let held = Maps { sight, held: maps.clone(), places, learns_all, avoids_visited };
         let mut batcher = Self {
             maps: held,
             encoder,
@@ -140,7 +158,7 @@ impl Batcher {
         self.maps.places.contains_key(&number)
     }
 
-    /// `I_A` and `I_B` of episodes, each the number of a map and the visited cells.
+    /// Map and window of episodes, each the number of a map and the visited cells.
     ///
     /// # Panics
     /// If there is no map of such a number.
@@ -189,13 +207,23 @@ impl Batcher {
         let floats = |numbers: &[f32]| upload(numbers, self.device);
         let count = self.encoder.actions().count() as i64;
         let maps = &self.maps;
-        let permissible: Vec<f32> = going_on.par_iter().flat_map_iter(|at| maps.next(at)).collect();
-        let (rewards, terminal): (Vec<_>, Vec<_>) = if maps.learns_all {
-            turned.par_iter().map(|at| maps.all(at)).unzip()
-        } else {
-            Default::default()
-        };
+        let allowed: Vec<f32> = going_on
+            .par_iter()
+            .flat_map_iter(|&(transition, symmetry)| {
+                let (_, set) = maps.choices(transition.map, &transition.path);
+                maps.turn(&set.flags(count as usize), symmetry)
+            })
+            .collect();
         let all = |rows: &[Vec<f32>]| floats(&rows.concat()).reshape([-1, count]);
+        let all = maps.learns_all.then(|| {
+            let rows: Vec<[Vec<f32>; 3]> = turned.par_iter().map(|at| maps.all(at)).collect();
+            let mut columns = [(); 3].map(|()| Vec::with_capacity(rows.len()));
+            for row in rows {
+                columns.iter_mut().zip(row).for_each(|(column, values)| column.push(values));
+            }
+            let [rewards, terminal, allowed] = columns.map(|rows| all(&rows));
+            All { rewards, terminal, allowed }
+        });
         let returns = transitions.iter().map(|transition| transition.discounted(self.discount).0);
         let returns: Vec<f32> = returns.map(|of| of as f32).collect();
         let factors = going_on.iter().map(|(transition, _)| transition.discounted(self.discount).1);
@@ -210,15 +238,14 @@ impl Batcher {
                 of: upload(&of, self.device),
                 map: next_map,
                 window: next_window,
-                permissible: floats(&permissible).reshape([-1, count]),
+                allowed: floats(&allowed).reshape([-1, count]),
                 discount: floats(&factors),
             },
-            all_rewards: maps.learns_all.then(|| all(&rewards)),
-            all_terminal: maps.learns_all.then(|| all(&terminal)),
+            all,
         }
     }
 
-    /// `I_A` and `I_B` of a state of each transition.
+    /// Map and window of a state of each transition.
     fn turned_states(&self, of: &[Turned<'_>], visited: fn(&Transition) -> &[Cell]) -> [Tensor; 2] {
         let references = of.iter().map(|&(transition, symmetry)| {
             let (place, world) = self.maps.place(transition.map);
@@ -246,24 +273,32 @@ impl Maps {
         i64::from(cell.row) * side as i64 + i64::from(cell.column)
     }
 
-    /// 1 for actions that are permissible after the step.
-    fn next(&self, &(transition, symmetry): &Turned<'_>) -> Vec<f32> {
-        let (_, world) = self.place(transition.map);
-        let next = *transition.path.last().expect("a step leads somewhere");
-        let set = self.sight.permissible(world, next);
-        self.turn(&set.flags(self.sight.actions().count()), symmetry)
+    /// Where a step may lead from the last of the visited cells, and the actions that may be chosen.
+    fn choices(&self, map: u32, visited: &[Cell]) -> (ActionSet, ActionSet) {
+        let (_, world) = self.place(map);
+        let from = *visited.last().expect("an episode has a start");
+        let permissible = self.sight.permissible(world, from);
+        let allowed = if self.avoids_visited {
+            permissible.unvisited(self.sight.actions(), visited)
+        } else {
+            permissible.clone()
+        };
+        (permissible, allowed)
     }
 
-    /// The rewards of all actions before the step, and 1 for those that would end the episode.
-    fn all(&self, &(transition, symmetry): &Turned<'_>) -> (Vec<f32>, Vec<f32>) {
+    /// The rewards of all actions before the step, 1 for those that would end the episode, and 1
+    /// for those that may be chosen.
+    fn all(&self, &(transition, symmetry): &Turned<'_>) -> [Vec<f32>; 3] {
         let (_, world) = self.place(transition.map);
-        let [mut rewards, mut terminal] = [(); 2].map(|()| vec![0.0; self.sight.actions().count()]);
-        let from = *transition.before().last().expect("a step begins somewhere");
-        let permissible = self.sight.permissible(world, from);
+        let count = self.sight.actions().count();
+        let [mut rewards, mut terminal] = [(); 2].map(|()| vec![0.0; count]);
+        let before = transition.before();
+        let from = *before.last().expect("a step begins somewhere");
+        let (permissible, allowed) = self.choices(transition.map, before);
         rewards_into(&self.sight, world, from, &permissible, |action, reward, ends| {
             (rewards[action], terminal[action]) = (reward, f32::from(u8::from(ends)));
         });
-        (self.turn(&rewards, symmetry), self.turn(&terminal, symmetry))
+        [rewards, terminal, allowed.flags(count)].map(|values| self.turn(&values, symmetry))
     }
 
     fn turn(&self, values: &[f32], symmetry: Symmetry) -> Vec<f32> {
@@ -283,34 +318,41 @@ pub(super) fn flags<'a>(
     upload(&flags, device).reshape([-1, count as i64])
 }
 
-/// `I_A` and `I_B` of flights, with the levels that they have measured.
+/// Map and window of flights, with the levels that they have measured: `count` states, of which
+/// those beyond the flights are the first flight's.
 pub(super) fn encode_views(
-    encoder: &Encoder,
+    encoder: &StateEncoder,
     views: &[View<'_, '_>],
+    count: usize,
     device: Device,
 ) -> [Tensor; 2] {
-    let states = views.iter().map(|view| State::new(view.known, view.flight.measurements()));
-    encode_states(encoder, &states.collect::<Vec<_>>(), device, &mut Buffers::default())
+    let views = (0..count).map(|at| views.get(at).unwrap_or(&views[0]));
+    let states: Vec<State<'_>> =
+        views.map(|view| State::new(view.known, view.flight.measurements())).collect();
+    encode_states(encoder, &states, device, &mut Buffers::default())
 }
 
-/// Numbers of `I_A` and `I_B`, kept so that memory need not be had anew for each batch.
+/// Numbers of maps and windows, kept so that memory need not be had anew for each batch.
 type Buffers = [Vec<f32>; 2];
 
 /// States encoded by the CPU.
 fn encode_states(
-    encoder: &Encoder,
+    encoder: &StateEncoder,
     states: &[State<'_>],
     device: Device,
-    [maps, windows]: &mut Buffers,
+    buffers: &mut Buffers,
 ) -> [Tensor; 2] {
-    maps.resize(states.len() * encoder.map_len(), 0.0);
-    windows.resize(states.len() * encoder.window_len(), 0.0);
+    let shapes = encoder.shapes();
+    for (buffer, shape) in buffers.iter_mut().zip(shapes) {
+        buffer.resize(states.len() * shape.iter().product::<usize>(), 0.0);
+    }
+    let [maps, windows] = buffers;
     encoder.encode_batch(states, maps, windows);
-    let [cells, side] = [encoder.cells(), encoder.actions().side()].map(|side| side as i64);
-    [
-        upload(maps, device).reshape([-1, 3, cells, cells]),
-        upload(windows, device).reshape([-1, 3, side, side]),
-    ]
+    let tensor = |numbers: &[f32], [channels, rows, columns]: [usize; 3]| {
+        let shape = [states.len(), channels, rows, columns].map(|side| side as i64);
+        upload(numbers, device).reshape(shape)
+    };
+    [tensor(maps, shapes[0]), tensor(windows, shapes[1])]
 }
 
 #[cfg(test)]
@@ -330,7 +372,7 @@ mod tests {
         let [first, second] = maps.map(|map| Arc::new(world(map, 2)));
         let later = Arc::new(world("#...o\n.....\n..#..\n.o...\n....#", 2));
         let (rl, train) =
-            (RlConfig { reach_cells: 2, ..RlConfig::default() }, TrainConfig::default());
+            (RlConfig { reach_cells: 2, ..RlConfig::default() }, TrainConfig::paper());
         let mut batchers = [false, true].map(|there| {
             let maps = vec![(4, Arc::clone(&first)), (9, Arc::clone(&second))];
             Batcher::encoding(maps, &rl, &train, Device::Cpu, there)

@@ -23,7 +23,7 @@ use crate::store::{MANIFEST, sha256_file, write_atomic};
 
 /// What names of directories begin with that are not whole yet.
 pub(super) const TEMPORARY: &str = ".holescout-checkpoint-";
-const SCHEMA: &str = "checkpoint.v1";
+const SCHEMA: &str = "checkpoint.v2";
 pub(super) const WEIGHTS: &str = "weights.safetensors";
 const LEARNING: &str = "learning.safetensors";
 const STATE: &str = "state.msgpack";
@@ -130,9 +130,17 @@ pub struct Checkpoint {
     pub cell_m: f64,
     /// How far.
     pub counters: Counters,
+    /// Scores of the best policy so far, for each map of the validation split.
+    pub(super) best_scores: Vec<f64>,
     pub(super) totals: TotalsState,
     pub(super) memory: Memory,
     adam_updates: i32,
+}
+
+/// What all versions of a checkpoint begin with.
+#[derive(Deserialize)]
+struct Version {
+    schema: String,
 }
 
 fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
@@ -155,6 +163,7 @@ impl Checkpoint {
             cells: map.cells() as u32,
             cell_m: map.cell_m(),
             counters,
+            best_scores: Vec::new(),
             totals,
             memory,
             adam_updates: 0,
@@ -206,15 +215,17 @@ impl Checkpoint {
     pub fn read(directory: &Path) -> Result<Self, CheckpointError> {
         let path = directory.join(STATE);
         let bytes = std::fs::read(&path).map_err(FileError::new("read", &path))?;
-        let checkpoint: Self =
+        // What other versions keep is not what this one expects, so the version comes first.
+        let Version { schema } =
             rmp_serde::from_slice(&bytes).map_err(|error| invalid(&path, &error))?;
-        if checkpoint.schema != SCHEMA {
-            return Err(invalid(
-                &path,
-                &format!("schema is {:?}, not {SCHEMA}", checkpoint.schema),
-            ));
+        if schema != SCHEMA {
+            let reason = format!(
+                "the checkpoint is of schema {schema:?}, expected {SCHEMA:?}: train into another \
+                 directory, or use the version of holescout that wrote it"
+            );
+            return Err(invalid(&path, &reason));
         }
-        Ok(checkpoint)
+        rmp_serde::from_slice(&bytes).map_err(|error| invalid(&path, &error))
     }
 
     /// Demands that it was made by this run.

@@ -3,13 +3,21 @@
 use std::path::Path;
 
 use serde::Serialize;
+use serde_json::json;
 
 use super::checkpoint::{Checkpoint, CheckpointError, WEIGHTS, read_network};
+use crate::config::{Channel, Encoding, RlConfig, TrainConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{PolicyManifest, Software, fingerprint, to_json};
+use crate::rl::{CenteredEncoder, REWARD_STEP};
 use crate::store::{OutputDir, OutputError, sha256_bytes};
 
 const CARD: &str = include_str!("model_card.md");
+/// What is said of inputs, and how Q-values are computed, in either encoding.
+const PAPER: &str = include_str!("model_card_paper.md");
+const CENTERED: &str = include_str!("model_card_centered.md");
+/// What divides the two.
+const DIVISION: &str = "\n<!-- python -->\n";
 
 /// Why a policy cannot be exported.
 #[derive(Debug, thiserror::Error)]
@@ -79,8 +87,22 @@ pub fn export_policy(
 /// The sections of a configuration that made a policy.
 #[derive(Serialize)]
 struct Sections<'a> {
-    rl: &'a crate::config::RlConfig,
-    train: &'a crate::config::TrainConfig,
+    rl: &'a RlConfig,
+    train: &'a TrainConfig,
+}
+
+/// The end of the Python function: from the channels of the last layer to Q-values.
+fn values(train: &TrainConfig) -> String {
+    if train.factored {
+        let (step, discount) = (REWARD_STEP, train.discount);
+        let chance = "    hole = out[:, -1].sigmoid()  # the chance that a move leads to a hole\n";
+        format!("{chance}    return (1 - hole) * ({step} + {discount} * out[:, 0])")
+    } else if train.dueling {
+        let value = "    value = F.linear(hidden.mean((2, 3)), weights[\"value.weight\"], weights[\"value.bias\"])\n";
+        format!("{value}    return out[:, 0] - out[:, 0].mean(1, keepdim=True) + value")
+    } else {
+        "    return out[:, 0]".to_owned()
+    }
 }
 
 fn card(manifest: &PolicyManifest) -> String {
@@ -93,14 +115,41 @@ fn card(manifest: &PolicyManifest) -> String {
             100.0 * score
         )
     });
-    let masked = if train.mask_actions {
+    let masked = if train.avoid_visited {
+        " It was trained to choose among permissible moves to cells not yet visited only: leave the \
+         others out before you take the greatest value."
+    } else if train.mask_actions {
         " It was trained to choose among permissible moves only: leave the others out before you \
          take the greatest value."
     } else {
         ""
     };
     let config = toml::to_string(&Sections { rl, train }).expect("configurations are TOML");
+    let parts = match train.encoding {
+        Encoding::Paper => PAPER,
+        Encoding::Centered => CENTERED,
+    };
+    let (inputs, python) = parts.split_once(DIVISION).expect("cards have two parts");
+    let [coarse_count, fine_count] = train.inputs().map(|count| count.to_string());
+    let names = |coarse_only: bool| {
+        let shown = train.channels.iter().filter(|channel| !coarse_only || channel.is_coarse());
+        let name = |channel: &Channel| format!("`{}`", json!(channel).as_str().unwrap_or_default());
+        shown.map(name).collect::<Vec<_>>().join(", ")
+    };
+    let encoder = CenteredEncoder::new(*cells as usize, rl, &train.channels);
+    let [_, [_, window, _]] = encoder.shapes();
     let values = [
+        // What other values stand in comes first.
+        ("inputs", inputs.trim_end().to_owned()),
+        ("python", python.to_owned()),
+        ("values", values(train)),
+        ("coarse_count", coarse_count),
+        ("fine_count", fine_count),
+        ("coarse", names(true)),
+        ("fine", names(false)),
+        ("block", encoder.block().to_string()),
+        ("window", window.to_string()),
+        ("flight_height", rl.flight_height_m.to_string()),
         ("software", format!("{} {}", software.name, software.version)),
         ("parameters", manifest.parameters.to_string()),
         ("actions", (side * side).to_string()),

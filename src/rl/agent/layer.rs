@@ -12,6 +12,11 @@ pub(super) struct Layer {
     padding: i64,
 }
 
+/// A convolution that leaves out the border.
+pub(super) const fn valid(name: &'static str, kernel: i64) -> Layer {
+    Layer { name, transposed: false, kernel, stride: 1, padding: 0 }
+}
+
 pub(super) const fn conv(name: &'static str, kernel: i64, stride: i64) -> Layer {
     Layer { name, transposed: false, kernel, stride, padding: kernel / 2 }
 }
@@ -41,16 +46,34 @@ impl Layer {
 
     /// The layer over whole squares.
     pub(super) fn apply(&self, input: &Tensor, parameters: [&Tensor; 2]) -> Tensor {
-        self.padded(input, parameters, self.padding)
+        self.padded(input, parameters, self.padding, 0)
     }
 
-    fn padded(&self, input: &Tensor, [weight, bias]: [&Tensor; 2], padding: i64) -> Tensor {
+    /// A transposed layer of stride 2 over whole squares, to squares of `side` cells: of the two
+    /// sides that a convolution of stride 2 maps to the input's, either.
+    pub(super) fn apply_to_side(
+        &self,
+        input: &Tensor,
+        parameters: [&Tensor; 2],
+        side: i64,
+    ) -> Tensor {
+        let more = side - self.side(input.size()[3]);
+        self.padded(input, parameters, self.padding, more)
+    }
+
+    fn padded(
+        &self,
+        input: &Tensor,
+        [weight, bias]: [&Tensor; 2],
+        padding: i64,
+        more: i64,
+    ) -> Tensor {
         let (stride, padding) = ([self.stride; 2], [padding; 2]);
         if !self.transposed {
             return input.conv2d(weight, Some(bias), stride, padding, [1, 1], 1);
         }
         let with = |bias: Option<&Tensor>| {
-            input.conv_transpose2d(weight, bias, stride, padding, [0, 0], 1, [1, 1])
+            input.conv_transpose2d(weight, bias, stride, padding, [more; 2], 1, [1, 1])
         };
         if self.stride == 1 {
             return with(Some(bias));
@@ -81,10 +104,10 @@ impl Layer {
         part: &Part,
     ) -> Tensor {
         if !self.transposed {
-            return self.padded(input, parameters, 0);
+            return self.padded(input, parameters, 0, 0);
         }
         // All outputs that the source reaches, of which some depend on more than it.
-        let out = self.padded(input, parameters, 0);
+        let out = self.padded(input, parameters, 0, 0);
         let first = |at: &Tensor, source: &Tensor| at - (source * self.stride - self.padding);
         let (row, column) = (first(&part.row, &source.row), first(&part.column, &source.column));
         Part { row, column, side: part.side }.cut(&out)

@@ -7,7 +7,7 @@ use super::network::{QNetwork, ShapeError, activations};
 use crate::config::{Config, Split};
 use crate::dataset::Dataset;
 use crate::error::{Fault, HasFault};
-use crate::rl::{CHANNELS, MapPool, Priorities, Replay, World};
+use crate::rl::{MapPool, Priorities, Replay, StateEncoder, World};
 
 /// Copies of a batch's states that are there at a time: in buffers, as tensors, as computed with.
 const STATE_COPIES: usize = 4;
@@ -66,11 +66,12 @@ impl MemoryNeed {
         let prioritised = train.priority_exponent > 0.0;
         let priorities = if prioritised { Priorities::bytes(replay) } else { 0 };
         let network = QNetwork::new(cells, rl.reach_cells, train, Device::Cpu)?;
-        let window = (2 * rl.reach_cells as usize + 1).pow(2);
-        let state = size_of::<f32>() * CHANNELS * (cells * cells + window);
+        let shapes = StateEncoder::new(cells, rl, train).shapes();
+        let state = size_of::<f32>()
+            * shapes.iter().map(|shape| shape.iter().product::<usize>()).sum::<usize>();
         // Policy, target, moments, gradients; each with a copy of 16 bits.
         let weights = 6 * 6 * network.size();
-        let layers = size_of::<f32>() * activations(cells, rl.reach_cells, train.widths);
+        let layers = size_of::<f32>() * activations(cells, rl.reach_cells, train);
         let sample = STATE_COPIES * 2 * state + LAYER_COPIES * layers;
         let batch = sample * train.batch.max(train.episodes) as usize;
         Ok(Self {

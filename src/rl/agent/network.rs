@@ -1,40 +1,36 @@
-//! The Q-network: two inputs, five convolutions, three transposed ones, a Q-value for each action.
+//! The Q-network: two inputs, a Q-value for each action.
 //!
-//! `I_A` (3 × L × L) goes through convolutions of 5×5, 3×3 and 3×3 with stride 2 and a transposed one
-//! of 3×3 with stride 2 (121 → 61 → 31 → 16 → 31); `I_B` (3 × 31 × 31) through two of 3×3. Both are
-//! joined and go through two transposed convolutions of 3×3. All but the last end in a
-//! rectifier. A second channel of the last layer predicts the rewards of all actions, if there is such
-//! a head. In a dueling network (Wang et al., 2016) the first channel holds advantages, and the
-//! value of the state is linear in the means of the joined features.
+//! Layers and their order are those of `paper` or `centered`, as `train.encoding` tells. The channels of
+//! the last layer are: Q-values; predicted rewards, if there is a head for them; the log-odds that each
+//! move leads to a hole, if there is one for these. In a dueling network (Wang et al., 2016) the first
+//! channel holds advantages, and the value of the state is linear in the means of what the last
+//! layer gets. In a factored network it holds V, the value of what follows a move that leads to no
+//! hole, and Q = (1 - P(hole)) (r + γ V), with r the reward of a step: that a hole is worth 0 need
+//! not be learned, and whether a move leads to one is learned from all moves at once.
 
 use tch::{Device, Kind, Tensor};
 
 use super::device::{Computing, upload};
-use super::layer::{Layer, Part, conv, transposed};
-use crate::config::TrainConfig;
-use crate::rl::Random;
+use super::{centered, paper};
+use crate::config::{Encoding, TrainConfig};
+use crate::rl::{REWARD_STEP, Random};
 
 const WEIGHTS: u64 = 11;
-
-const MAP: [Layer; 4] =
-    [conv("map.0", 5, 2), conv("map.1", 3, 2), conv("map.2", 3, 2), transposed("map.3", 2)];
-const WINDOW: [Layer; 2] = [conv("window.0", 3, 1), conv("window.1", 3, 1)];
-const HEAD: [Layer; 2] = [transposed("head.0", 1), transposed("head.1", 1)];
 
 /// Maps that the network cannot take.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error(
     "the network halves maps of {cells} × {cells} cells to {found} × {found}, but moves of \
      {reach} cells make a window of {window} × {window}: choose rl.reach_cells or the dataset so that \
-     both are equal (121 cells and 15)"
+     both are equal (121 cells and 15), or train.encoding = \"centered\", which takes maps of any size"
 )]
 pub struct ShapeError {
     /// Cells along a side of a map.
     pub cells: usize,
     /// `rl.reach_cells`.
     pub reach: u32,
-    found: i64,
-    window: i64,
+    pub(super) found: i64,
+    pub(super) window: i64,
 }
 
 impl crate::error::HasFault for ShapeError {
@@ -44,18 +40,11 @@ impl crate::error::HasFault for ShapeError {
 }
 
 /// Numbers that all layers make of one state.
-pub(super) fn activations(cells: usize, reach: u32, widths: [u32; 7]) -> usize {
-    let [map, window, head] = [&MAP[..], &WINDOW, &HEAD];
-    let mut widths = widths.into_iter().chain([2]).map(i64::from);
-    let mut sides = |layers: &[Layer], first: i64| -> i64 {
-        let sides = layers.iter().scan(first, |side, layer| {
-            *side = layer.side(*side);
-            Some(*side)
-        });
-        sides.zip(widths.by_ref()).map(|(side, width)| side * side * width).sum()
-    };
-    let side = 2 * i64::from(reach) + 1;
-    (sides(map, cells as i64) + sides(window, side) + sides(head, side)) as usize
+pub(super) fn activations(cells: usize, reach: u32, config: &TrainConfig) -> usize {
+    match config.encoding {
+        Encoding::Paper => paper::activations(cells, reach, config.widths),
+        Encoding::Centered => centered::activations(reach, config.widths),
+    }
 }
 
 /// A parameter: its name and shape.
@@ -71,11 +60,67 @@ impl Parameter {
     }
 }
 
-/// `I_A` and `I_B` of a batch of states, in the numbers and the order that a network computes with.
+/// Map and window of a batch of states, in the numbers and the order that a network computes with.
 #[derive(Debug)]
 pub struct Inputs {
-    map: Tensor,
-    window: Tensor,
+    pub(super) map: Tensor,
+    pub(super) window: Tensor,
+}
+
+/// What a network makes of a batch of states, `[batch, (2l + 1)²]` each, `float32`.
+#[derive(Debug)]
+pub struct Outputs {
+    /// Q-values of all actions.
+    pub q: Tensor,
+    /// V, the value of what follows each move if it leads to no hole, in a factored network.
+    pub following: Option<Tensor>,
+    /// The predicted rewards, if there is a head for them.
+    pub rewards: Option<Tensor>,
+    /// The log-odds that each move leads to a hole, if there is a head for them.
+    pub holes: Option<Tensor>,
+}
+
+/// What the channels of the last layer are.
+#[derive(Debug, Clone, Copy)]
+struct Heads {
+    encoding: Encoding,
+    rewards: bool,
+    holes: bool,
+    dueling: bool,
+    /// γ, in a factored network.
+    factored: Option<f64>,
+}
+
+impl Heads {
+    fn new(config: &TrainConfig) -> Self {
+        Self {
+            encoding: config.encoding,
+            rewards: config.reward_prediction > 0.0,
+            holes: config.hole_prediction > 0.0,
+            dueling: config.dueling,
+            factored: config.factored.then_some(config.discount),
+        }
+    }
+
+    fn count(self) -> i64 {
+        1 + i64::from(self.rewards) + i64::from(self.holes)
+    }
+
+    /// The log-odds of holes, of the last layer's channels `[batch, channels, ...]`.
+    fn holes(self, channels: &Tensor) -> Option<Tensor> {
+        self.holes.then(|| channels.select(1, self.count() - 1))
+    }
+
+    /// Q-values, of the same.
+    fn q(self, channels: &Tensor) -> Tensor {
+        let first = channels.select(1, 0);
+        match (self.factored, self.holes(channels)) {
+            (Some(discount), Some(odds)) => {
+                (discount * first + f64::from(REWARD_STEP)) * (-odds).sigmoid()
+            }
+            _ => first,
+        }
+    }
 }
 
 /// A Q-network.
@@ -91,8 +136,7 @@ pub struct QNetwork {
     /// Views of the one or the other, which gradients are of.
     working: Vec<Tensor>,
     computing: Computing,
-    has_reward_head: bool,
-    is_dueling: bool,
+    heads: Heads,
 }
 
 /// The parts of a row of numbers, as tensors that share its memory.
@@ -114,15 +158,14 @@ impl QNetwork {
         config: &TrainConfig,
         device: Device,
     ) -> Result<Self, ShapeError> {
-        let found = MAP.iter().fold(cells as i64, |side, layer| layer.side(side));
-        let window = 2 * i64::from(reach) + 1;
-        if found != window {
-            return Err(ShapeError { cells, reach, found, window });
-        }
-        let has_reward_head = config.reward_prediction > 0.0;
-        let [a, b, c, d, e, f, g] = config.widths.map(i64::from);
-        let outputs = if has_reward_head { 2 } else { 1 };
-        let widths = [(3, a), (a, b), (b, c), (c, d), (3, e), (e, f), (d + f, g), (g, outputs)];
+        let heads = Heads::new(config);
+        let layers = match config.encoding {
+            Encoding::Paper => {
+                paper::demand(cells, reach)?;
+                paper::layers(config.widths, heads.count())
+            }
+            Encoding::Centered => centered::layers(config.inputs(), config.widths, heads.count()),
+        };
         let mut random = Random::keyed(&[config.seed, WEIGHTS]);
         let (mut parameters, mut values) = (Vec::new(), Vec::new());
         let mut pair = |name: &str, weight: &[i64], outputs: i64| {
@@ -135,29 +178,24 @@ impl QNetwork {
                 parameters.push(parameter);
             }
         };
-        for (layer, (from, to)) in MAP.iter().chain(&WINDOW).chain(&HEAD).zip(widths) {
+        for (layer, from, to) in layers {
             let [first, second] = if layer.transposed { [from, to] } else { [to, from] };
             pair(layer.name, &[first, second, layer.kernel, layer.kernel], to);
         }
         if config.dueling {
-            pair("value", &[1, g], 1);
+            pair("value", &[1, config.widths[6].into()], 1);
         }
         let computing = Computing::new(config.precision, device);
         let learned = upload(&values, device);
-        Ok(Self::of(parameters, learned, computing, [has_reward_head, config.dueling]))
+        Ok(Self::of(parameters, learned, computing, heads))
     }
 
-    fn of(
-        parameters: Vec<Parameter>,
-        learned: Tensor,
-        computing: Computing,
-        [has_reward_head, is_dueling]: [bool; 2],
-    ) -> Self {
+    fn of(parameters: Vec<Parameter>, learned: Tensor, computing: Computing, heads: Heads) -> Self {
         let rounded = (computing.kind != Kind::Float).then(|| learned.to_kind(computing.kind));
         let working = views(&parameters, rounded.as_ref().unwrap_or(&learned));
         let working =
             working.into_iter().map(|view| view.detach().set_requires_grad(true)).collect();
-        Self { parameters, learned, rounded, working, computing, has_reward_head, is_dueling }
+        Self { parameters, learned, rounded, working, computing, heads }
     }
 
     /// The parameters by name, in the order of the layers: `float32`.
@@ -197,8 +235,7 @@ impl QNetwork {
     /// A copy that does not change with this one.
     #[must_use]
     pub fn duplicate(&self) -> Self {
-        let heads = [self.has_reward_head, self.is_dueling];
-        Self::of(self.parameters.clone(), self.learned.copy(), self.computing, heads)
+        Self::of(self.parameters.clone(), self.learned.copy(), self.computing, self.heads)
     }
 
     /// Changes what is learned; a pass computes with it from then on.
@@ -235,14 +272,18 @@ impl QNetwork {
         self.change(|learned| learned.copy_(&Tensor::cat(&row, 0)));
     }
 
-    /// Weights and biases of the layers over the map, over the window, of the head, of the value.
-    fn pairs(&self) -> [Vec<[&Tensor; 2]>; 4] {
-        let mut pairs = self.working.chunks_exact(2).map(|pair| [&pair[0], &pair[1]]);
-        let mut next = |count| pairs.by_ref().take(count).collect();
-        [next(MAP.len()), next(WINDOW.len()), next(HEAD.len()), next(1)]
+    /// Whether it predicts P(hole).
+    #[must_use]
+    pub fn predicts_holes(&self) -> bool {
+        self.heads.holes
     }
 
-    /// Prepares a batch: `map` is `[batch, 3, L, L]`, `window` `[batch, 3, 2l + 1, 2l + 1]`.
+    /// Weights and biases, in the order of the layers.
+    fn pairs(&self) -> Vec<[&Tensor; 2]> {
+        self.working.chunks_exact(2).map(|pair| [&pair[0], &pair[1]]).collect()
+    }
+
+    /// Prepares a batch: both in the shapes of [`StateEncoder`](crate::rl::StateEncoder).
     #[must_use]
     pub fn inputs(&self, map: &Tensor, window: &Tensor) -> Inputs {
         // Convolutions of 16 bits are fast in the order rows, columns, channels.
@@ -253,72 +294,45 @@ impl QNetwork {
         Inputs { map: prepare(map), window: prepare(window) }
     }
 
-    /// Q-values of all actions, `[batch, (2l + 1)²]`, and the predicted rewards if there is a head
-    /// for them; `float32`.
-    pub fn forward(&self, inputs: &Inputs) -> (Tensor, Option<Tensor>) {
-        let [of_map, of_window, of_head, of_value] = &self.pairs();
-        let through = |input: &Tensor, layers: &[Layer], parameters: &[[&Tensor; 2]]| {
-            let layers = layers.iter().zip(parameters);
-            layers.fold(input.shallow_clone(), |input, (layer, &parameters)| {
-                layer.apply(&input, parameters).relu_()
-            })
+    /// What it makes of a batch.
+    #[must_use]
+    pub fn forward(&self, inputs: &Inputs) -> Outputs {
+        let pairs = self.pairs();
+        let [hidden, out] = match self.heads.encoding {
+            Encoding::Paper => paper::forward(inputs, &pairs),
+            Encoding::Centered => centered::forward(inputs, &pairs),
         };
-        let map = through(&inputs.map, &MAP, of_map);
-        let window = through(&inputs.window, &WINDOW, of_window);
-        let hidden = through(&Tensor::cat(&[map, window], 1), &HEAD[..1], &of_head[..1]);
-        let out = HEAD[1].apply(&hidden, of_head[1]).to_kind(Kind::Float);
-        let channel = |at| out.select(1, at).flatten(1, 2);
-        let q_values = match of_value[..] {
-            [[weight, bias]] => {
-                let means = hidden.mean_dim(&[2_i64, 3][..], false, None);
-                let value = means.linear(weight, Some(bias)).to_kind(Kind::Float);
-                let advantages = channel(0);
-                let mean = advantages.mean_dim(1, true, None);
-                advantages - mean + value
-            }
-            _ => channel(0),
-        };
-        (q_values, self.has_reward_head.then(|| channel(1)))
+        let (heads, out) = (self.heads, out.to_kind(Kind::Float).flatten(2, 3));
+        let mut q = heads.q(&out);
+        if let ([.., [weight, bias]], true) = (&pairs[..], heads.dueling) {
+            let means = hidden.mean_dim(&[2_i64, 3][..], false, None);
+            let value = means.linear(weight, Some(*bias)).to_kind(Kind::Float);
+            q = &q - q.mean_dim(1, true, None) + value;
+        }
+        Outputs {
+            q,
+            following: heads.factored.map(|_| out.select(1, 0)),
+            rewards: heads.rewards.then(|| out.select(1, 1)),
+            holes: heads.holes(&out),
+        }
     }
 
-    /// The Q-value of one action for each state: `actions` and the result are `[batch]`. It depends on
-    /// a small part of the inputs, which is all that is computed: a twentieth of a whole pass.
+    /// The Q-value of one action for each state: `actions` and the result are `[batch]`.
     pub fn values_of(&self, inputs: &Inputs, actions: &Tensor) -> Tensor {
-        if self.is_dueling {
-            // The value of a state depends on all of it.
-            let (q_values, _) = self.forward(inputs);
+        // The value of a state depends on all of it, and so do Q-values in a U-Net.
+        if self.heads.dueling || self.heads.encoding == Encoding::Centered {
+            let q_values = self.forward(inputs).q;
             return q_values.gather(1, &actions.unsqueeze(1), false).squeeze_dim(1);
         }
-        let [of_map, of_window, of_head, _] = &self.pairs();
-        let side = inputs.window.size()[3];
-        let out = Part::cells(actions, side);
-        let hidden = HEAD[1].source(&out);
-        let joined = HEAD[0].source(&hidden);
-        let map = local(&inputs.map, &MAP, of_map, &joined);
-        let window = local(&inputs.window, &WINDOW, of_window, &joined);
-        let features = Tensor::cat(&[map, window], 1);
-        let features = HEAD[0].apply_to_part(&features, of_head[0], &joined, &hidden).relu_();
-        let features = hidden.inside(&features, side);
-        let outputs = HEAD[1].apply_to_part(&features, of_head[1], &hidden, &out);
-        outputs.select(1, 0).flatten(0, -1).to_kind(Kind::Float)
+        let outputs = paper::outputs_of(inputs, &self.pairs(), actions);
+        self.heads.q(&outputs.to_kind(Kind::Float))
     }
 
     /// The first of the allowed actions with the greatest Q-value, for each state: `[batch]`.
     /// Actions where `allowed`, `[batch, actions]`, is 0 are left out.
     pub fn best_actions(&self, inputs: &Inputs, allowed: Option<&Tensor>) -> Tensor {
-        tch::no_grad(|| best(&self.forward(inputs).0, allowed))
+        tch::no_grad(|| best(&self.forward(inputs).q, allowed))
     }
-}
-
-/// A part of what layers make of a batch, computed from what it depends on.
-fn local(inputs: &Tensor, layers: &[Layer], parameters: &[[&Tensor; 2]], part: &Part) -> Tensor {
-    let [rest @ .., layer] = layers else { return part.cut(inputs) };
-    let (rest_parameters, own) = parameters.split_at(rest.len());
-    let source = layer.source(part);
-    let below = local(inputs, rest, rest_parameters, &source);
-    let side = layers.iter().fold(inputs.size()[3], |side, layer| layer.side(side));
-    let out = layer.apply_to_part(&below, own[0], &source, part).relu_();
-    part.inside(&out, side)
 }
 
 /// The actions with the greatest values, of the allowed ones if only some are.

@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 
 use super::checkpoint::{TEMPORARY, remove_whole};
 use super::events::Events;
+use super::judgement::Judgement;
 use super::network::QNetwork;
 use super::report::TrainReport;
 use super::trainer::{TrainError, TrainJob, Trainer};
@@ -74,8 +75,8 @@ pub trait Watch {
     fn updated(&mut self);
     /// How it went over the last updates.
     fn reported(&mut self, report: &TrainReport, pace: Pace);
-    /// Precision on the validation split after 1, 2, 4 ... steps.
-    fn judge(&mut self, network: &QNetwork) -> Vec<(u32, f64)>;
+    /// Precision on the validation split, of all maps that it looks at always in the same order.
+    fn judge(&mut self, network: &QNetwork) -> Judgement;
     /// Whether to save and stop.
     fn stop(&mut self) -> bool;
 }
@@ -140,11 +141,9 @@ pub fn train(
         }
         if is_due(config.evaluate_every) {
             clock.pause();
-            let scores = watch.judge(trainer.policy());
-            log.judged(done, &scores)?;
-            let score = scores.iter().map(|(_, precision)| precision).sum::<f64>()
-                / scores.len().max(1) as f64;
-            if trainer.judged(score) {
+            let judgement = watch.judge(trainer.policy());
+            log.judged(done, &judgement)?;
+            if trainer.judged(judgement.scores()) {
                 trainer.save(&run.join("best"))?;
             }
             clock.go_on();
@@ -282,12 +281,21 @@ impl Log {
         self.line(&line)
     }
 
-    fn judged(&mut self, update: u64, scores: &[(u32, f64)]) -> Result<(), FileError> {
-        let tags: Vec<String> = scores.iter().map(|(k, _)| format!("precision/{k}")).collect();
-        let scalars = tags.iter().zip(scores).map(|(tag, &(_, precision))| (&**tag, precision));
-        self.events.add(update, &scalars.collect::<Vec<_>>())?;
-        let scores: serde_json::Map<String, Value> =
-            scores.iter().map(|(k, precision)| (k.to_string(), json!(precision))).collect();
-        self.line(&json!({ "update": update, "precision": scores }))
+    fn judged(&mut self, update: u64, judgement: &Judgement) -> Result<(), FileError> {
+        let mut line = json!({ "update": update });
+        let mut add = |name: &str, values: Vec<(u32, f64)>| {
+            let tags: Vec<String> = values.iter().map(|(k, _)| format!("{name}/{k}")).collect();
+            let scalars = tags.iter().zip(&values).map(|(tag, &(_, value))| (&**tag, value));
+            self.events.add(update, &scalars.collect::<Vec<_>>())?;
+            let values = values.iter().map(|(k, value)| (k.to_string(), json!(value)));
+            line[name] = values.collect::<serde_json::Map<_, _>>().into();
+            Ok::<_, FileError>(())
+        };
+        add("precision", judgement.precision())?;
+        if let Some(over) = judgement.over_predictor() {
+            add("over_predictor", over.iter().map(|&(k, of)| (k, of.mean)).collect())?;
+            add("over_predictor_error", over.iter().map(|&(k, of)| (k, of.error)).collect())?;
+        }
+        self.line(&line)
     }
 }

@@ -1,7 +1,8 @@
 use tch::{Device, Kind, Tensor};
 
 use super::*;
-use crate::config::{Precision, TrainConfig};
+use crate::config::{Channel, Encoding, Precision, RlConfig, TrainConfig};
+use crate::rl::StateEncoder;
 
 #[test]
 fn actions_are_chosen_among_those_allowed() {
@@ -19,7 +20,7 @@ fn network(config: &TrainConfig) -> QNetwork {
 }
 
 fn small() -> TrainConfig {
-    TrainConfig { widths: [2; 7], precision: Precision::Float32, ..TrainConfig::default() }
+    TrainConfig { widths: [2; 7], precision: Precision::Float32, ..TrainConfig::paper() }
 }
 
 fn values(network: &QNetwork) -> Vec<f32> {
@@ -90,7 +91,7 @@ fn advantages_have_no_mean() {
     let inputs = [121, 31].map(|side| Tensor::rand([2, 3, side, side], (Kind::Float, Device::Cpu)));
     let q_values = |network: &QNetwork| {
         let inputs = network.inputs(&inputs[0], &inputs[1]);
-        tch::no_grad(|| network.forward(&inputs).0)
+        tch::no_grad(|| network.forward(&inputs).q)
     };
     let (plain, dueling) = (q_values(&network(&small())), q_values(&dueling));
     let centred = |q: &Tensor| q - q.mean_dim(1, true, None);
@@ -102,7 +103,7 @@ fn advantages_have_no_mean() {
 
 #[test]
 fn networks_have_the_shape_of_the_design_and_seeded_weights() {
-    let config = TrainConfig { reward_prediction: 0.0, ..TrainConfig::default() };
+    let config = TrainConfig::paper();
     let network = |seed| {
         QNetwork::new(121, 15, &TrainConfig { seed, ..config.clone() }, Device::Cpu)
             .expect("it fits")
@@ -127,8 +128,8 @@ fn networks_have_the_shape_of_the_design_and_seeded_weights() {
     assert!(QNetwork::new(121, 14, &config, Device::Cpu).is_err());
     let inputs =
         [121, 31].map(|side| Tensor::zeros([2, 3, side, side], (Kind::Float, Device::Cpu)));
-    let (q_values, rewards) = a.forward(&a.inputs(&inputs[0], &inputs[1]));
-    assert_eq!((q_values.size(), rewards.is_none()), (vec![2, 961], true));
+    let outputs = a.forward(&a.inputs(&inputs[0], &inputs[1]));
+    assert_eq!((outputs.q.size(), outputs.rewards.is_none()), (vec![2, 961], true));
 }
 
 /// The part that a Q-value depends on gives that Q-value, at borders and corners too.
@@ -143,7 +144,7 @@ fn values_of_single_actions_are_those_of_a_whole_pass() {
         let options = (Kind::Float, Device::Cpu);
         let inputs = [121, 31].map(|side| Tensor::rand([31, 3, side, side], options) - 0.5);
         let inputs = network.inputs(&inputs[0], &inputs[1]);
-        let all = tch::no_grad(|| network.forward(&inputs).0);
+        let all = tch::no_grad(|| network.forward(&inputs).q);
         for row in 0..31 {
             // Another action for each of the 31 states: a row of the square.
             let actions = Tensor::arange(31, (Kind::Int64, Device::Cpu)) + 31 * row;
@@ -152,5 +153,75 @@ fn values_of_single_actions_are_those_of_a_whole_pass() {
             let off = (found - expected).abs().max().double_value(&[]);
             assert!(off < tolerance, "row {row}: {off}");
         }
+    }
+}
+
+fn centered(config: &TrainConfig, reach: u32) -> (QNetwork, [Tensor; 2]) {
+    let network = QNetwork::new(121, reach, config, Device::Cpu).expect("any size fits");
+    let rl = RlConfig { reach_cells: reach, ..RlConfig::default() };
+    let shapes = StateEncoder::new(121, &rl, config).shapes();
+    let inputs = shapes.map(|[channels, rows, columns]| {
+        let shape = [3, channels, rows, columns].map(|side| side as i64);
+        Tensor::rand(shape, (Kind::Float, Device::Cpu))
+    });
+    (network, inputs)
+}
+
+/// A value for each move, whatever the reach and whatever is shown.
+#[test]
+fn centered_networks_take_any_reach_and_channels() {
+    let all = TrainConfig { encoding: Encoding::Centered, ..small() };
+    let few = TrainConfig { channels: vec![Channel::Visited, Channel::Level], ..all.clone() };
+    let auxiliary = TrainConfig { reward_prediction: 1.0, dueling: true, ..all.clone() };
+    for (reach, config) in [(15, &all), (4, &all), (1, &few), (7, &few), (14, &auxiliary)] {
+        let (network, inputs) = centered(config, reach);
+        let outputs = tch::no_grad(|| network.forward(&network.inputs(&inputs[0], &inputs[1])));
+        let moves = i64::from((2 * reach + 1).pow(2));
+        assert_eq!(outputs.q.size(), [3, moves]);
+        assert!(outputs.holes.is_none() && outputs.following.is_none());
+        assert_eq!(outputs.rewards.is_some(), config.reward_prediction > 0.0);
+    }
+}
+
+/// All squares are centred: turning the inputs and all kernels turns the Q-values.
+#[test]
+fn centered_networks_are_centered() {
+    let config = TrainConfig { encoding: Encoding::Centered, ..small() };
+    let (mut network, inputs) = centered(&config, 15);
+    let pass = |network: &QNetwork, inputs: &[Tensor; 2]| {
+        let inputs = network.inputs(&inputs[0], &inputs[1]);
+        tch::no_grad(|| network.forward(&inputs).q.view([-1, 31, 31]))
+    };
+    let straight = pass(&network, &inputs);
+    let turn = |of: &Tensor| if of.dim() == 4 { of.rot90(2, [2, 3]) } else { of.copy() };
+    let kernels: Vec<Tensor> = network.named().map(|(_, one)| turn(&one)).collect();
+    network.set(&kernels);
+    let turned = pass(&network, &[turn(&inputs[0]), turn(&inputs[1])]).rot90(2, [1, 2]);
+    let off = (straight - turned).abs().max().double_value(&[]);
+    assert!(off < 1e-5, "{off}");
+}
+
+/// `Q = (1 - P(hole)) (r + γ V)`, whichever way it is computed.
+#[test]
+fn factored_q_values_by_hand() {
+    for encoding in [Encoding::Paper, Encoding::Centered] {
+        let config = TrainConfig {
+            encoding,
+            hole_prediction: 1.0,
+            mask_actions: true,
+            factored: true,
+            ..small()
+        };
+        let (network, inputs) = centered(&config, 15);
+        let inputs = network.inputs(&inputs[0], &inputs[1]);
+        let outputs = tch::no_grad(|| network.forward(&inputs));
+        let (following, odds) = (outputs.following.expect("it is"), outputs.holes.expect("it is"));
+        let chance: Tensor = 1.0 / (1.0 + (-odds).exp());
+        let expected = (1.0 - chance) * (0.99 * following - 0.25);
+        assert!((&outputs.q - &expected).abs().max().double_value(&[]) < 1e-6);
+        let actions = Tensor::from_slice(&[0_i64, 480, 960]);
+        let single = tch::no_grad(|| network.values_of(&inputs, &actions));
+        let expected = expected.gather(1, &actions.unsqueeze(1), false).squeeze_dim(1);
+        assert!((single - expected).abs().max().double_value(&[]) < 1e-6);
     }
 }

@@ -4,6 +4,7 @@
 //! checkpoint does what it would have done without the interruption, to the bit (on a CPU, with the
 //! same number of threads).
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -14,13 +15,14 @@ use super::batch::{Batcher, flags};
 use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory};
 use super::ddqn::loss;
 use super::device::upload;
+use super::judgement::{Mean, is_better};
 use super::network::{QNetwork, ShapeError};
 use super::report::{Totals, TotalsState, TrainReport};
 use crate::config::{RlConfig, TrainConfig};
 use crate::error::{Fault, HasFault};
 use crate::rl::{
-    Cell, Environment, MapPool, MapSource, NothingToLearn, PoolError, Priorities, Random, Recent,
-    Replay, Transition,
+    ActionSet, Cell, Environment, MapPool, MapSource, NothingToLearn, PoolError, Priorities,
+    Random, Recent, Replay, Transition,
 };
 
 const ACTING: u64 = 21;
@@ -105,6 +107,8 @@ pub struct Trainer<'a> {
     target: QNetwork,
     adam: Adam,
     counters: Counters,
+    /// Scores of the best policy so far, for each map of the validation split.
+    best_scores: Vec<f64>,
     totals: Totals,
 }
 
@@ -125,7 +129,6 @@ impl<'a> Trainer<'a> {
         let network = || QNetwork::new(cells, rl.reach_cells, train, device);
         let (policy, target) = (network()?, network()?);
         let capacity = train.replay as usize;
-        let has_reward = train.reward_prediction > 0.0;
         Ok(Self {
             job,
             environment,
@@ -139,7 +142,8 @@ impl<'a> Trainer<'a> {
             policy,
             target,
             counters: Counters::default(),
-            totals: Totals::new(&TotalsState::default(), has_reward, device),
+            best_scores: Vec::new(),
+            totals: Totals::new(&TotalsState::default(), train, device),
             pool,
         })
     }
@@ -179,8 +183,8 @@ impl<'a> Trainer<'a> {
         }
         (trainer.recent, trainer.returns) = (recent.clone(), returns.clone());
         trainer.counters = checkpoint.counters;
-        let has_reward = job.train.reward_prediction > 0.0;
-        trainer.totals = Totals::new(&checkpoint.totals, has_reward, job.device);
+        trainer.best_scores.clone_from(&checkpoint.best_scores);
+        trainer.totals = Totals::new(&checkpoint.totals, job.train, job.device);
         Ok(trainer)
     }
 
@@ -204,8 +208,9 @@ impl<'a> Trainer<'a> {
             replay: replay.to_vec().into(),
             priorities: priorities.unwrap_or_default().into(),
         };
-        let checkpoint =
+        let mut checkpoint =
             Checkpoint::new(&self.job, &self.pool.maps()[0].1, self.counters, totals, memory);
+        checkpoint.best_scores.clone_from(&self.best_scores);
         checkpoint.write(directory, [&self.policy, &self.target], &self.adam)?;
         Ok(())
     }
@@ -234,11 +239,14 @@ impl<'a> Trainer<'a> {
         self.counters.best
     }
 
-    /// Notes the score of a judgement; returns whether it is the best so far.
-    pub(super) fn judged(&mut self, score: f64) -> bool {
-        let is_best = self.counters.best.is_none_or(|(best, _)| score > best);
+    /// Notes the scores of a judgement, one for each map; returns whether they are the best so far: better
+    /// than the best by more than the standard error of the difference.
+    pub(super) fn judged(&mut self, scores: Vec<f64>) -> bool {
+        let score = Mean::of(&scores).mean;
+        let is_best = self.counters.best.is_none() || is_better(&scores, &self.best_scores);
         if is_best {
             self.counters.best = Some((score, self.counters.updates));
+            self.best_scores = scores;
             self.counters.judged_since_best = 0;
         } else {
             self.counters.judged_since_best += 1;
@@ -274,6 +282,14 @@ impl<'a> Trainer<'a> {
         let over = (train.epsilon_decay * train.updates as f64).max(1.0);
         let fallen = (self.counters.updates as f64 / over).min(1.0);
         train.epsilon_start + (train.epsilon_end - train.epsilon_start) * fallen
+    }
+
+    /// The learning rate now.
+    fn learning_rate(&self) -> f64 {
+        let train = self.job.train;
+        let done = self.counters.updates as f64 / train.updates as f64;
+        let left = if train.anneal_learning_rate { (1.0 - done).max(0.0) } else { 1.0 };
+        train.learning_rate * left
     }
 
     /// One update: as many steps of all episodes as are due, then one step of Adam.
@@ -318,7 +334,7 @@ impl<'a> Trainer<'a> {
         let weights = self.importance(&positions);
         let parts = loss(&self.policy, &self.target, &batch, weights.as_ref(), train);
         let gradients = Tensor::run_backward(&[&parts.total], self.policy.leaves(), false, false);
-        let (rate, clip) = (train.learning_rate, train.clip_norm);
+        let (rate, clip) = (self.learning_rate(), train.clip_norm);
         let norm = self.adam.step(&mut self.policy, &gradients, rate, clip);
         self.totals.add(&parts, &norm);
         if let Some(priorities) = &mut self.priorities {
@@ -381,15 +397,13 @@ impl<'a> Trainer<'a> {
         let greedy = self.greedy(&explores);
         let count = self.environment.actions().count();
         let actions: Vec<usize> = (0..slots)
-            .map(|slot| {
-                let set = self.environment.permissible(slot);
-                match greedy[slot] {
-                    Some(action) => action,
-                    None if train.mask_actions => {
-                        set.nth(random.below(set.count())).expect("to stay is permissible")
-                    }
-                    None => random.below(count),
+            .map(|slot| match greedy[slot] {
+                Some(action) => action,
+                None if train.mask_actions => {
+                    let set = self.allowed(slot);
+                    set.nth(random.below(set.count())).expect("to stay is permissible")
                 }
+                None => random.below(count),
             })
             .collect();
         let before: Vec<(u32, Vec<Cell>)> = (0..slots)
@@ -397,6 +411,9 @@ impl<'a> Trainer<'a> {
             .collect();
         let outcomes = self.environment.step(&actions);
         for (slot, ((map, mut path), outcome)) in before.into_iter().zip(outcomes).enumerate() {
+            if greedy[slot].is_some() {
+                self.totals.chose(path.contains(&outcome.next));
+            }
             path.push(outcome.next);
             let ends = outcome.terminal || outcome.truncated;
             let step = (actions[slot], outcome.reward);
@@ -411,6 +428,17 @@ impl<'a> Trainer<'a> {
         }
         self.counters.steps += 1;
         Ok(())
+    }
+
+    /// The actions that an episode may choose among.
+    fn allowed(&self, slot: usize) -> Cow<'_, ActionSet> {
+        let permissible = self.environment.permissible(slot);
+        if self.job.train.avoid_visited {
+            let (_, visited) = self.environment.state(slot);
+            Cow::Owned(permissible.unvisited(self.environment.actions(), visited))
+        } else {
+            Cow::Borrowed(permissible)
+        }
     }
 
     /// Number of the map of an episode.
@@ -444,7 +472,8 @@ impl<'a> Trainer<'a> {
             .map(|&slot| (self.number(slot), self.environment.state(slot).1))
             .collect();
         let [map, window] = self.batcher.states(&states);
-        let sets = wanted.iter().map(|&slot| self.environment.permissible(slot));
+        let sets: Vec<_> = wanted.iter().map(|&slot| self.allowed(slot)).collect();
+        let sets = sets.iter().map(AsRef::as_ref);
         let count = self.environment.actions().count();
         let allowed = self.job.train.mask_actions.then(|| flags(sets, count, self.job.device));
         let best = self.policy.best_actions(&self.policy.inputs(&map, &window), allowed.as_ref());

@@ -63,6 +63,12 @@ pub trait Policy: Sync {
 pub trait MakePolicy: Sync + std::fmt::Debug {
     /// A policy for a map as the UAV has it stored.
     fn policy<'a>(&'a self, known: &World) -> Box<dyn Policy + 'a>;
+
+    /// The same knowledge without planning, the method `predictor`: always to where a hole is most
+    /// likely. `None` if it does not tell how likely holes are.
+    fn predictor(&self) -> Option<&dyn MakePolicy> {
+        None
+    }
 }
 
 /// Each flight by itself, for policies that gain nothing from predicting together.
