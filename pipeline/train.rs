@@ -108,22 +108,9 @@ impl Watch for Watching<'_> {
         let Config { rl, train, .. } = self.config;
         let agent = Agent::new(network.duplicate(), self.maps[0].cells(), rl, train);
         let precision = |policy: &dyn MakePolicy| precision(policy, self.maps, &self.judging);
-        let judgement = Judgement {
-            steps: JUDGED_STEPS.to_vec(),
-            policy: precision(&agent),
-            predictor: agent.predictor().map(precision),
-        };
-        let over = judgement.over_predictor();
-        let scores = judgement.precision().into_iter().enumerate().map(|(at, (k, score))| {
-            let over = over.as_ref().map_or_else(String::new, |over| {
-                let (_, difference) = over[at];
-                let [mean, half] = [difference.mean, 1.96 * difference.error].map(|of| 100.0 * of);
-                format!(", {mean:+.1} ± {half:.1} over the predictor")
-            });
-            format!("{:.1} (k = {k}{over})", 100.0 * score)
-        });
-        let scores: Vec<String> = scores.collect();
-        self.console.note(&format!("precision in %: {}", scores.join(", ")));
+        let (policy, predictor) = (precision(&agent), agent.predictor().map(precision));
+        let judgement = Judgement { steps: JUDGED_STEPS.to_vec(), policy, predictor };
+        self.console.note(&format!("precision in %: {judgement}"));
         judgement
     }
 

@@ -1,6 +1,8 @@
 //! How good a policy is on the validation split, and whether it is better than another: maps differ far more
 //! from each other than policies do, so differences are taken map by map.
 
+use std::fmt;
+
 /// Precision on maps of the validation split.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Judgement {
@@ -63,6 +65,23 @@ impl Judgement {
     }
 }
 
+/// Precision in %, and by how much it is over the predictor's with the half-width of a 95 % interval.
+impl fmt::Display for Judgement {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let over = self.over_predictor();
+        for (at, (k, precision)) in self.precision().into_iter().enumerate() {
+            let comma = if at > 0 { ", " } else { "" };
+            write!(f, "{comma}{:.1} (k = {k}", 100.0 * precision)?;
+            if let Some(over) = &over {
+                let (_, Mean { mean, error }) = over[at];
+                write!(f, ", {:+.1} ± {:.1} over the predictor", 100.0 * mean, 196.0 * error)?;
+            }
+            f.write_str(")")?;
+        }
+        Ok(())
+    }
+}
+
 /// Whether scores of the same maps are better than others by more than the standard error of the
 /// difference; if they are not of the same maps, whether their mean is greater.
 pub(super) fn is_better(scores: &[f64], than: &[f64]) -> bool {
@@ -95,6 +114,9 @@ mod tests {
         close(over[1].1.mean, 0.1);
         close(over[1].1.error, 0.1);
         close(judgement.scores()[1], 0.9);
+        let text = "50.0 (k = 1, +10.0 ± 0.0 over the predictor), \
+                    70.0 (k = 4, +10.0 ± 19.6 over the predictor)";
+        assert_eq!(judgement.to_string(), text);
     }
 
     /// The mean rises by 0.1 each time; only the first time do the maps agree about it.
