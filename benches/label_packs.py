@@ -72,6 +72,12 @@ def save_pack(name: str, levels: dict[str, np.ndarray], costs: dict[str, dict[st
     return path.stat().st_size
 
 
+def pack_paths(name: str = "*") -> list[tuple[str, int, Path]]:
+    """Set, repeat and file of all packs, or those of a set, in this order."""
+    found = [(*path.stem.rsplit("-", 1), path) for path in FOLDER.glob(f"{name}-*.xz")]
+    return sorted((of_set, int(repeat), path) for of_set, repeat, path in found)
+
+
 def packed_tiles(path: Path) -> set[str]:
     """Tiles of a pack."""
     return set(json.loads(lzma.decompress(path.read_bytes()).partition(b"\n")[0])["cells"])
@@ -92,6 +98,5 @@ def read_packs(name: str = "*") -> Iterator[tuple[str, dict[str, np.ndarray], di
     """Set, levels and costs by tile of all packs, or those of a set, by set and repeat."""
     first = FOLDER / f"{REFERENCE}.xz"
     reference = load_pack(first, {})[0] if first.exists() else {}
-    found = [(*path.stem.rsplit("-", 1), path) for path in FOLDER.glob(f"{name}-*.xz")]
-    for of_set, _, path in sorted(found, key=lambda pack: (pack[0], int(pack[1]))):
+    for of_set, _, path in pack_paths(name):
         yield of_set, *load_pack(path, reference)

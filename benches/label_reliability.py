@@ -18,14 +18,14 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from label_packs import FOLDER, REFERENCE, levels_of, load_pack, load_tiles, outdoor_of, packed_tiles, path_gain_of, read_packs, save_pack, save_tiles
+from label_packs import FOLDER, REFERENCE, levels_of, load_pack, load_tiles, outdoor_of, pack_paths, packed_tiles, path_gain_of, read_packs, save_pack, save_tiles
 from label_report import LONG, report
 from label_store import SCENE_KEYS, Job, Settings, prepare, queue, read_study, read_tiles, scene_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipeline"))
 from sionna_files import CEILING_DB, DIRECTION_SHIFT, WEDGE_TABLE, Options, Scene, read_scene, write_map
 from sionna_repeats import ceiling_of, combine, shift_of
-from sionna_trace import Tracer, check_loaded, say, start_sionna
+from sionna_trace import Tracer, say, start_sionna
 
 
 def scene_for(store: Path, job: Job, settings: Settings) -> Scene:
@@ -39,13 +39,10 @@ def scene_for(store: Path, job: Job, settings: Settings) -> Scene:
 
 def trace_together(tracer: Tracer, store: Path, jobs: list[Job], settings: Settings) -> float:
     """Traces and keeps repeats of a set on a tile, which share their wedges; returns the seconds that the solver took."""
-    from sionna.rt import Transmitter, load_scene
+    from sionna.rt import Transmitter
 
     scene = scene_for(store, jobs[0], settings)
-    loaded = load_scene(str(scene.xml.resolve()), merge_shapes=False)
-    check_loaded(loaded, scene)
-    loaded.frequency = scene.metadata["frequency_hz"]
-    loaded.tx_array = tracer.array
+    loaded = tracer.load(scene)
     loaded.add(Transmitter("base-station", position=scene.base_stations[0]))
     shifts = [shift_of(settings["seed"], job.tile, 0, job.repeat) for job in jobs]
     wall, cpu = time.monotonic(), time.process_time()
@@ -57,7 +54,7 @@ def trace_together(tracer: Tracer, store: Path, jobs: list[Job], settings: Setti
         path = job.path(store)
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {"path_gain": path_gain, "cost_json": np.frombuffer(json.dumps(cost).encode(), dtype=np.uint8)}
-        write_map(path, arrays, scene.metadata | kept | {"repeat": job.repeat, "direction_shift": "random"}, ".part")
+        write_map(path, arrays, scene.metadata | kept | {"repeat": job.repeat, "direction_shift": DIRECTION_SHIFT}, ".part")
     return wall
 
 
@@ -69,11 +66,7 @@ def prepare_once(store: Path) -> None:
 
 def packed_jobs() -> set[Job]:
     """What the repository holds."""
-    found = set()
-    for path in FOLDER.glob("*.xz"):
-        name, repeat = path.stem.rsplit("-", 1)
-        found |= {Job(name, tile, int(repeat)) for tile in packed_tiles(path)}
-    return found
+    return {Job(name, tile, repeat) for name, repeat, path in pack_paths() for tile in packed_tiles(path)}
 
 
 def trace(store: Path) -> None:

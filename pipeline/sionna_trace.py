@@ -139,18 +139,25 @@ class Tracer:
 
         Raises InvalidInput if Sionna understands the scene otherwise than it is meant, or a base station is in a building.
         """
-        from sionna.rt import Transmitter, load_scene
+        from sionna.rt import Transmitter
 
-        loaded = load_scene(str(scene.xml.resolve()), merge_shapes=False)
-        check_loaded(loaded, scene)
-        loaded.frequency = scene.metadata["frequency_hz"]
-        loaded.tx_array = self.array
+        loaded = self.load(scene)
         maps = []
         for index, position in enumerate(scene.base_stations):
             loaded.add(Transmitter("base-station", position=position))
             maps.append(self.repeat(loaded, scene, index))
             loaded.remove("base-station")
         return {name: values if len(maps) == 1 else np.stack([found[name] for found in maps]) for name, values in maps[0].items()}
+
+    def load(self, scene: Scene) -> Any:
+        """The scene as Sionna has it, without a base station. Raises InvalidInput as `trace` does."""
+        from sionna.rt import load_scene
+
+        loaded = load_scene(str(scene.xml.resolve()), merge_shapes=False)
+        check_loaded(loaded, scene)
+        loaded.frequency = scene.metadata["frequency_hz"]
+        loaded.tx_array = self.array
+        return loaded
 
     def repeat(self, loaded: Any, scene: Scene, base_station: int) -> dict[str, np.ndarray]:
         """The arrays of the one base station of a scene of Sionna, [rows, columns]; without repeats Sionna's own directions."""

@@ -56,14 +56,13 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Many:
     folder = write_scene(tmp_path_factory.mktemp("scenes") / "one", [STATION])
     sionna_trace.start_sionna(None)
     tracer = sionna_trace.Tracer()
-    from sionna.rt import Transmitter, load_scene
+    from sionna.rt import Transmitter
 
     def traces(samples: int, repeats: int, seed: int, *, shifted: bool = True, diffraction: bool = True,
                places: int = sionna_files.WEDGE_TABLE, share: int = 1) -> np.ndarray:
         scene = sionna_files.read_scene(folder, options(samples, 1, diffraction, seed))
         scene.metadata["wedge_table"] = places
-        loaded = load_scene(str(scene.xml), merge_shapes=False)
-        loaded.frequency, loaded.tx_array = 3.5e9, tracer.array
+        loaded = tracer.load(scene)
         loaded.add(Transmitter("base-station", position=STATION))
         shifts = [sionna_repeats.shift_of(seed, scene.ident, 0, repeat) for repeat in range(repeats)]
         maps = []
@@ -291,11 +290,10 @@ def test_one_repeat_alone_is_what_the_solver_gives(tmp_path: Path) -> None:
     sionna_trace.start_sionna(None)
     folder = write_scene(tmp_path / "one", [STATION])
     scene = sionna_files.read_scene(folder, options(FEW))
-    from sionna.rt import Transmitter, load_scene
+    from sionna.rt import Transmitter
 
     tracer = sionna_trace.Tracer()
-    loaded = load_scene(str(scene.xml), merge_shapes=False)
-    loaded.frequency, loaded.tx_array = 3.5e9, tracer.array
+    loaded = tracer.load(scene)
     loaded.add(Transmitter("base-station", position=STATION))
     shift = sionna_repeats.Shift(0.25, 0.75, 5)
     with sionna_repeats.shifted_directions(shift, FEW):
