@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use holescout::config::{Config, Method, Split};
-use holescout::evaluate::{EvaluateJob, evaluate};
+use holescout::config::{Config, EvaluateConfig, Method, Split};
+use holescout::evaluate::{EvaluateError, EvaluateJob, evaluate};
 use holescout::progress::Progress;
 use holescout::rl::policy::MakePolicy;
 use serde_json::json;
@@ -22,6 +22,8 @@ pub(crate) fn run(
     let agent = agent.as_ref().map(|(agent, sha256)| (&**agent, &**sha256));
     let mut config = config.clone();
     let methods = &mut config.evaluate.methods;
+    // Nobody asked for each of them.
+    let are_default = methods.starts_with(&EvaluateConfig::default().methods);
     let predictor = agent.and_then(|(agent, _)| agent.predictor());
     if predictor.is_some() && !methods.contains(&Method::Predictor) {
         methods.push(Method::Predictor);
@@ -39,7 +41,17 @@ pub(crate) fn run(
         out: &args.output.out,
         overwrite: args.output.overwrite,
     };
-    let report = evaluate(job, console)?;
+    let report = match evaluate(job, console) {
+        Err(EvaluateError::Fit { learning, dataset, source, .. }) if are_default => {
+            console.note(&format!(
+                "note: {learning} are left out: they learn from the train split of {dataset}, but {source}"
+            ));
+            let mut config = config.clone();
+            config.evaluate.methods.retain(|method| !method.learns());
+            evaluate(EvaluateJob { config: &config, ..job }, console)?
+        }
+        other => other?,
+    };
     let maps = report.maps;
     if maps.overlapping_pairs > 0 {
         console.note(&format!(

@@ -35,12 +35,13 @@ const WITHIN_LEVEL: [(&str, &str); 5] = [
     ("scene", "rasterise"),
 ];
 /// Crates that are named below one path only.
-const ONLY_BELOW: [(&str, &str); 5] = [
+const ONLY_BELOW: [(&str, &str); 6] = [
     ("osmpbfreader", "src/osm"),
     ("protobuf", "src/osm"),
     ("clap", "pipeline"),
     ("indicatif", "pipeline"),
     ("tch", "src/rl/agent"),
+    ("forust_ml", "src/evaluate/fitted"),
 ];
 /// Macros and functions that only the command may use.
 const PRINTING: [&str; 6] = ["println!", "eprintln!", "print!", "eprint!", "dbg!", "process::exit"];

@@ -98,7 +98,8 @@ fn figures_follow_the_rules_of_the_task() {
     }
     let precision = means(&report, "precision");
     let at = |method: &str, k| precision[&(method.to_owned(), k, starts)];
-    for method in ["g-rsp", "g-rsp-continuous", "shadow", "random-walk", "wall-walk", "oracle"] {
+    let moving = ["g-rsp", "g-rsp-continuous", "shadow", "random-walk", "wall-walk", "oracle"];
+    for method in moving.into_iter().chain(["trees", "trees-told-bs", "leave-one-out"]) {
         assert_eq!(at(method, 0), at("rsp", 0), "the same starts");
         for (k, more) in [(0, 1), (1, 2), (2, 4), (4, 8)] {
             assert!(at(method, k) <= at(method, more), "{method}: who found a hole stays there");
@@ -175,6 +176,53 @@ fn seeds_noise_and_stale_maps_matter_where_they_should() {
     let stale = precision(&["--stale", "1"]);
     assert_eq!((stale("rsp"), stale("oracle")), (plain("rsp"), plain("oracle")));
     assert_ne!(stale("wall-walk"), plain("wall-walk"));
+}
+
+/// What learns is fitted on the train split, so there it finds more than a walk does, whatever there is on others.
+#[test]
+fn what_learns_from_the_train_split_has_learned() {
+    let dir = temporary_dir();
+    let out = dir.path().join("out");
+    let methods = "wall-walk,trees,trees-told-bs,leave-one-out";
+    let mut command = holescout("evaluate");
+    command.arg("--dataset").arg(&HELSINKI.dataset).arg("--out").arg(&out);
+    command.args(["--split", "train", "--starts", "100", "--methods", methods]);
+    run(&mut command).succeeds();
+    let precision = means(&report(&out), "precision");
+    let at = |method: &str| precision[&(method.to_owned(), 2, 100)];
+    for method in ["trees", "trees-told-bs", "leave-one-out"] {
+        assert!(at(method) > at("wall-walk"), "{method}: {}", at(method));
+    }
+}
+
+/// Who asked for what learns gets an error, who did not a note.
+#[test]
+fn without_anything_to_learn_from_what_learns_is_left_out_and_said_so() {
+    let dir = temporary_dir();
+    let out = dir.path().join("out");
+    // Nothing is weak enough to be a hole.
+    let threshold = ["--threshold", "-290"];
+    let floor = dir.path().join("floor.toml");
+    write(&floor, "[rl]\nfloor_dbm = -400.0\n");
+    let all = |options: &[&str]| {
+        run(evaluate(&out, options).args(SMALL).args(threshold).arg("--config").arg(&floor))
+    };
+    let methods = "rsp,trees,oracle,trees-told-bs,leave-one-out";
+    let refused = all(&["--methods", methods]).refused();
+    assert_says(&refused, &["trees, trees-told-bs, leave-one-out", "train split"]);
+    let (_, mend) = refused.split_once("--methods ").expect("a mend");
+    assert_eq!(mend.trim(), "rsp,oracle");
+    assert!(!out.exists(), "nothing is left");
+    all(&["--methods", mend.trim()]).succeeds();
+    let note = run(evaluate(&out, &["--overwrite"])
+        .args(SMALL)
+        .args(threshold)
+        .arg("--config")
+        .arg(&floor));
+    assert_says(&note.stderr, &["note: trees, trees-told-bs, leave-one-out are left out"]);
+    note.succeeds();
+    let report = read(&out.join("report.json"));
+    assert!(!String::from_utf8_lossy(&report).contains("\"trees\""));
 }
 
 #[test]

@@ -111,17 +111,33 @@ pub enum Method {
     WallWalk,
     /// `oracle`: a shortest way to a hole.
     Oracle,
+    /// `leave-one-out`: to where the levels of all other cells make a hole most likely, as learned from
+    /// the train split.
+    LeaveOneOut,
+    /// `trees`: to where boosted trees, fitted on the train split, find a hole most likely.
+    Trees,
+    /// `trees-told-bs`: the same, told where the base station is.
+    TreesToldBs,
     /// `agent`: a trained network, which must be given.
     Agent,
     /// `predictor`: to where that network finds a hole most likely, without planning.
     Predictor,
 }
 
+impl Method {
+    /// Whether it learns from the train split before it flies.
+    #[must_use]
+    pub fn learns(self) -> bool {
+        matches!(self, Self::Trees | Self::TreesToldBs | Self::LeaveOneOut)
+    }
+}
+
 /// A string that names no method.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error(
     "{0:?} is no method (expected rsp, bnp-<metres>, g-rsp, g-rsp-continuous, g-bnp-<metres>, \
-     g-bnp-<metres>-continuous, shadow, random-walk, wall-walk, oracle, agent or predictor)"
+     g-bnp-<metres>-continuous, shadow, random-walk, wall-walk, oracle, leave-one-out, trees, \
+     trees-told-bs, agent or predictor)"
 )]
 pub struct MethodError(pub String);
 
@@ -138,6 +154,9 @@ impl fmt::Display for Method {
             Self::RandomWalk => f.write_str("random-walk"),
             Self::WallWalk => f.write_str("wall-walk"),
             Self::Oracle => f.write_str("oracle"),
+            Self::LeaveOneOut => f.write_str("leave-one-out"),
+            Self::Trees => f.write_str("trees"),
+            Self::TreesToldBs => f.write_str("trees-told-bs"),
             Self::Agent => f.write_str("agent"),
             Self::Predictor => f.write_str("predictor"),
         }
@@ -156,6 +175,9 @@ impl FromStr for Method {
             "random-walk" => Some(Self::RandomWalk),
             "wall-walk" => Some(Self::WallWalk),
             "oracle" => Some(Self::Oracle),
+            "leave-one-out" => Some(Self::LeaveOneOut),
+            "trees" => Some(Self::Trees),
+            "trees-told-bs" => Some(Self::TreesToldBs),
             "agent" => Some(Self::Agent),
             "predictor" => Some(Self::Predictor),
             _ => with_distance(name),
@@ -199,7 +221,7 @@ impl JsonSchema for Method {
         schemars::json_schema!({
             "type": "string",
             "description": "Name of a method.",
-            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle|agent|predictor)$"
+            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle|leave-one-out|trees(-told-bs)?|agent|predictor)$"
         })
     }
 }
@@ -248,6 +270,9 @@ impl Default for EvaluateConfig {
                 Method::Shadow,
                 Method::RandomWalk,
                 Method::WallWalk,
+                Method::Trees,
+                Method::TreesToldBs,
+                Method::LeaveOneOut,
                 Method::Oracle,
             ],
             starts: 200,

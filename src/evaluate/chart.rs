@@ -8,10 +8,11 @@ use notosans::{BOLD_TTF, REGULAR_TTF};
 use resvg::{tiny_skia, usvg};
 
 /// Mostly Okabe and Ito's and Tol's colours, which colour-blind readers tell apart; look-alikes
-/// are far from each other in the order, for twelve cannot all differ.
-const PALETTE: [&str; 12] = [
+/// are far from each other in the order, for seventeen cannot all differ.
+const PALETTE: [&str; 17] = [
     "#0072b2", "#e69f00", "#117733", "#cc79a7", "#cc3311", "#56b4e9", "#999933", "#000000",
-    "#882255", "#44aa99", "#332288", "#888888",
+    "#882255", "#44aa99", "#332288", "#888888", "#ddcc77", "#661100", "#6699cc", "#aa4499",
+    "#009e73",
 ];
 const DASHES: [&str; 5] = ["none", "7 3", "2 3", "8 3 2 3", "14 4"];
 const INK: &str = "#222222";

@@ -4,6 +4,7 @@ use std::sync::OnceLock;
 
 use super::buildings::{Buildings, buildings};
 use super::distance::{DistanceCount, by_distance};
+use super::fitted::Fitted;
 use super::labels::{Labels, LabelsOnMap, is_sure, is_sure_hole};
 use super::methods;
 use super::report::Difficulty;
@@ -54,13 +55,13 @@ impl Scene {
 
     /// All flights of a method.
     pub(super) fn tracks(&self, method: Method, flying: Flying<'_>) -> Vec<Track> {
-        let Flying { sight, config, agent } = flying;
+        let Flying { sight, config, .. } = flying;
         let place = self.place(method, sight);
         let starts = methods::starts(method, place, &config.evaluate);
         let key = methods::key(method, place, &config.evaluate);
         let most = methods::steps(method, &config.evaluate).last().copied().unwrap_or(0);
         let hops = || self.hops(sight);
-        let policy = methods::policy(method, place.known, hops, &config.evaluate, agent);
+        let policy = methods::policy(method, place.known, hops, flying);
         fly(place, &*policy, &starts, most, &key)
     }
 
@@ -80,6 +81,8 @@ pub(super) struct Flying<'a> {
     pub(super) config: &'a Config,
     /// What flies the method `agent`.
     pub(super) agent: Option<&'a dyn MakePolicy>,
+    /// What was learned for the methods that learn.
+    pub(super) fitted: &'a Fitted,
 }
 
 /// Precision and recall on one map.

@@ -1,5 +1,6 @@
 //! The methods by name: what they are told, where they start, which policy moves them.
 
+use super::map::Flying;
 use super::report::{Knows, MethodInfo};
 use super::track::Place;
 use crate::config::{EvaluateConfig, Method};
@@ -11,6 +12,8 @@ use crate::rl::{Cell, Hops, Random, World, neighbourhood};
 /// Streams of random numbers beside those of the methods.
 const STARTS: u64 = 1;
 const NEIGHBOURHOOD_STARTS: u64 = 2;
+
+const FITTED_TREES: &str = "boosted trees, fitted on the train split,";
 
 /// Whether a method moves.
 pub(super) fn moves(method: Method) -> bool {
@@ -78,6 +81,23 @@ pub(super) fn info(method: Method, config: &EvaluateConfig) -> MethodInfo {
             Knows::Holes,
             "A shortest way to a hole: no method can be better.".to_owned(),
         ),
+        Method::Trees => (
+            "Boosted trees".into(),
+            Knows::Measurements,
+            format!("To where {FITTED_TREES} find a hole most likely: no network, no planning."),
+        ),
+        Method::TreesToldBs => (
+            "Boosted trees, told the base station".into(),
+            Knows::BaseStation,
+            format!("The same {FITTED_TREES}, told where the base station is: a ceiling."),
+        ),
+        Method::LeaveOneOut => (
+            "All but one".into(),
+            Knows::CoverageMap,
+            "To where the levels around a cell, but not its own, make a hole most likely, as \
+             learned from the train split: a ceiling for interpolation."
+                .to_owned(),
+        ),
         Method::Agent => (
             "Agent".into(),
             Knows::Measurements,
@@ -115,9 +135,10 @@ pub(super) fn policy<'a>(
     method: Method,
     known: &World,
     hops: impl FnOnce() -> &'a Hops,
-    config: &EvaluateConfig,
-    agent: Option<&'a dyn MakePolicy>,
+    flying: Flying<'a>,
 ) -> Box<dyn Policy + 'a> {
+    let Flying { config, agent, fitted, .. } = flying;
+    let config = &config.evaluate;
     let style = |keep_fraction| DescentStyle {
         rate: config.gradient_rate,
         smoothing_cells: config.gradient_smoothing_cells,
@@ -138,6 +159,7 @@ pub(super) fn policy<'a>(
         }
         Method::WallWalk => Box::new(WallWalk::new(known)),
         Method::Oracle => Box::new(OptimalWay::new(hops())),
+        Method::Trees | Method::TreesToldBs | Method::LeaveOneOut => fitted.policy(method, known),
         Method::Agent => agent.expect("checked before anything flies").policy(known),
         Method::Predictor => {
             let predictor = agent.and_then(MakePolicy::predictor);

@@ -10,6 +10,7 @@ mod buildings;
 mod chart;
 mod distance;
 mod figures;
+mod fitted;
 mod gallery;
 mod groups;
 mod labels;
@@ -23,6 +24,7 @@ mod tables;
 mod track;
 
 pub(crate) use chart::{LineChart, Point, Series, svg_to_png};
+pub use fitted::FitError;
 pub use report::{
     CeilingScore, DatasetUsed, Difference, Difficulty, DistanceFigures, FlightFigures, Group,
     GroupKind, GroupScore, Interval, Knows, LabelFigures, MapsUsed, MethodInfo, OracleShare,

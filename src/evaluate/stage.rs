@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::bootstrap::Bootstrap;
 use super::chart::svg_to_png;
+use super::fitted::{FitError, Fitted};
 use super::gallery;
 use super::groups::overlapping_pairs;
 use super::labels::Labels;
@@ -47,6 +48,20 @@ pub enum EvaluateError {
          that was trained with train.hole_prediction above 0, or leave it out"
     )]
     NoPredictor,
+    /// Methods that learn cannot. Nothing was written.
+    #[error(
+        "{learning} learn from the train split of {dataset}: {source}. Leave them out: --methods {others}"
+    )]
+    Fit {
+        /// The methods that learn.
+        learning: String,
+        /// The dataset's directory.
+        dataset: String,
+        /// What stands in the way.
+        source: Box<FitError>,
+        /// The other methods that were asked for.
+        others: String,
+    },
     /// The split has no records.
     #[error("the {split} split of {dataset} has no records; those that have: {others}")]
     EmptySplit {
@@ -64,7 +79,9 @@ impl HasFault for EvaluateError {
         match self {
             Self::Read(error) => error.fault(),
             Self::Output(error) => error.fault(),
-            Self::NoAgent | Self::NoPredictor | Self::EmptySplit { .. } => Fault::Input,
+            Self::NoAgent | Self::NoPredictor | Self::Fit { .. } | Self::EmptySplit { .. } => {
+                Fault::Input
+            }
         }
     }
 }
@@ -113,10 +130,13 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
     let policy_sha256 = job.agent.map(|(_, sha256)| sha256.to_owned());
     let inputs = (dataset.digest(), &policy_sha256, &split);
     let fingerprint = fingerprint(&("evaluate", inputs, &config.rl, &config.evaluate));
+    OutputDir::check(job.out, "evaluation", &fingerprint, job.overwrite)?;
+    let fitted = fit(&dataset, job, progress)?;
     let output = OutputDir::begin(job.out, "evaluation", &fingerprint, job.overwrite)?;
 
     let sight = Sight::new(config.rl.reach_cells);
-    let flying = Flying { sight: &sight, config, agent: job.agent.map(|(agent, _)| agent) };
+    let agent = job.agent.map(|(agent, _)| agent);
+    let flying = Flying { sight: &sight, config, agent, fitted: &fitted };
     let scene = |id| -> Result<Scene, ReadError> {
         let (record, grids) = dataset.record_with_grids(id)?;
         let world = World::new(&record, &grids, &config.rl);
@@ -200,6 +220,31 @@ fn records(dataset: &Dataset, job: EvaluateJob<'_>) -> Result<Vec<(TileId, Split
     Ok(records)
 }
 
+/// What the methods that learn have learned.
+fn fit(
+    dataset: &Dataset,
+    job: EvaluateJob<'_>,
+    progress: &dyn Progress,
+) -> Result<Fitted, EvaluateError> {
+    Fitted::fit(dataset, job.config, progress).map_err(|error| match error {
+        FitError::Read(error) => error.into(),
+        source => {
+            let methods = &job.config.evaluate.methods;
+            let (learning, others): (Vec<Method>, Vec<Method>) =
+                methods.iter().partition(|method| method.learns());
+            let list = |methods: Vec<Method>, between: &str| {
+                methods.iter().map(ToString::to_string).collect::<Vec<_>>().join(between)
+            };
+            EvaluateError::Fit {
+                learning: list(learning, ", "),
+                dataset: job.dataset.display().to_string(),
+                source: Box::new(source),
+                others: list(others, ","),
+            }
+        }
+    })
+}
+
 fn maps_used(ids: &[TileId], maps: &[MapResult], dataset: &Dataset) -> MapsUsed {
     let manifest = dataset.manifest();
     let count = |holds: fn(&MapResult) -> bool| maps.iter().filter(|map| holds(map)).count() as u64;
@@ -252,7 +297,7 @@ pub fn precision(
     config: &Config,
 ) -> Vec<Vec<f64>> {
     let sight = Sight::new(config.rl.reach_cells);
-    let flying = Flying { sight: &sight, config, agent: Some(agent) };
+    let flying = Flying { sight: &sight, config, agent: Some(agent), fitted: &Fitted::default() };
     let scene = |map: &World| Scene::new(map.clone(), None, &config.evaluate);
     let results: Vec<MethodOnMap> =
         maps.par_iter().map(|map| scene(map).judged(Method::Agent, flying)).collect();
