@@ -168,7 +168,7 @@ fn profile(
     let batcher = Batcher::new(pool.maps().to_vec(), rl, train, device);
     let transitions = transitions(pool, train.batch);
     let mut random = Random::keyed(&[1]);
-    let batch: Batch = batcher.batch(&transitions, Some(&mut random));
+    let batch: Batch = batcher.batch(&transitions, true, &mut random);
     let gradients = |policy: &QNetwork| {
         let parts = loss(policy, &target, &batch, None, train);
         Tensor::run_backward(&[&parts.total], policy.leaves(), false, false)
@@ -187,7 +187,7 @@ fn profile(
     let whole = median(|| trainer.update().expect("maps are in memory"));
     let acting = median(|| trainer.act().expect("maps are in memory"));
     let learning = median(|| trainer.learn());
-    let encoding = median(|| drop(batcher.batch(&transitions, Some(&mut random))));
+    let encoding = median(|| drop(batcher.batch(&transitions, true, &mut random)));
     let inputs = policy.inputs(&batch.map, &batch.window);
     let preparing = median(|| drop(policy.inputs(&batch.map, &batch.window)));
     let forward = median(|| drop(policy.best_actions(&inputs, None)));

@@ -1,7 +1,7 @@
 //! Writes a batch with the losses and gradients that the trainer has for it, for the comparison with
 //! a reference in `PyTorch`.
 //!
-//! `ddqn_reference DATASET OUT [paper|other|POLICY]`: makes transitions at random on the train split, two networks
+//! `ddqn_reference DATASET OUT [paper|factored|other|POLICY]`: makes transitions at random on the train split, two networks
 //! with different weights, and writes `OUT/{inputs,policy,target,outputs}.safetensors`.
 
 use std::path::Path;
@@ -16,16 +16,33 @@ use tch::{Device, Kind, Tensor};
 const BATCH: usize = 16;
 const STEPS: usize = 12;
 
+/// A network with random weights, none of which are 0.
+fn network(
+    cells: usize,
+    rl: &RlConfig,
+    train: &TrainConfig,
+) -> Result<QNetwork, Box<dyn std::error::Error>> {
+    let new = |train: &TrainConfig| QNetwork::new(cells, rl.reach_cells, train, Device::Cpu);
+    let mut network = new(train)?;
+    if train.factored {
+        // V is 0 at first; a dueling network has the same weights.
+        let random = TrainConfig { factored: false, dueling: true, ..train.clone() };
+        network.approach(&new(&random)?, 1.0);
+    }
+    Ok(network)
+}
+
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [dataset, out, preset @ ..] = &arguments[..] else {
-        return Err("usage: ddqn_reference DATASET OUT [paper|other|POLICY]".into());
+        return Err("usage: ddqn_reference DATASET OUT [paper|factored|other|POLICY]".into());
     };
     let (rl, out) = (RlConfig::default(), Path::new(out));
     let best = TrainConfig::default();
     let (preset, loaded) = match preset {
         [] => (best, None),
         [name] if name == "paper" => (TrainConfig::paper(), None),
+        [name] if name == "factored" => (TrainConfig { factored: true, ..best }, None),
         // What neither of the presets uses.
         [name] if name == "other" => {
             let other = TrainConfig {
@@ -73,13 +90,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let transitions = random.sample(&transitions.iter().collect::<Vec<_>>(), BATCH);
     let transitions: Vec<_> = transitions.into_iter().cloned().collect();
     let batcher = Batcher::new(pool.maps().to_vec(), &rl, &train, Device::Cpu);
-    let batch = batcher.batch(&transitions, train.augment.then_some(&mut random));
+    let batch = batcher.batch(&transitions, train.augment, &mut random);
     let weights: Vec<f32> = (0..BATCH).map(|_| random.unit() as f32).collect();
     let weights = (train.priority_exponent > 0.0).then(|| Tensor::from_slice(&weights));
-    let network = |seed| {
-        let train = TrainConfig { seed, ..train.clone() };
-        QNetwork::new(dataset.manifest().cells as usize, rl.reach_cells, &train, Device::Cpu)
-    };
+    let cells = dataset.manifest().cells as usize;
+    let network = |seed| network(cells, &rl, &TrainConfig { seed, ..train.clone() });
     let (mut policy, target) = (network(1)?, network(2)?);
     if let Some(loaded) = loaded {
         policy.approach(&loaded, 1.0);
@@ -95,6 +110,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("reward", &batch.reward),
         ("discount", &batch.next.discount),
         ("next_of", &batch.next.of),
+        ("next_action", &batch.next.action),
         ("next_map", &batch.next.map),
         ("next_window", &batch.next.window),
         ("next_allowed", &batch.next.allowed),

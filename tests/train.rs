@@ -19,7 +19,8 @@ use serde_json::Value;
 use tch::Device;
 
 use pipeline::{
-    HELSINKI, Random, assert_says, holescout, read, read_json, run, sha256, temporary_dir, write,
+    HELSINKI, Random, assert_says, holescout, read, read_json, run, sha256, shard, temporary_dir,
+    write,
 };
 
 /// A network that is small enough for tests.
@@ -39,8 +40,12 @@ evaluate_starts = 4
 ";
 
 fn train(run: &Path, config: &Path, options: &[&str]) -> Command {
+    train_on(&HELSINKI.dataset, run, config, options)
+}
+
+fn train_on(dataset: &Path, run: &Path, config: &Path, options: &[&str]) -> Command {
     let mut command = holescout("train");
-    command.arg("--dataset").arg(&HELSINKI.dataset).arg("--config").arg(config);
+    command.arg("--dataset").arg(dataset).arg("--config").arg(config);
     command.arg("--run").arg(run).args(options);
     // Sums of floating-point numbers depend on how they are split.
     command.env("OMP_NUM_THREADS", "1").args(["--threads", "1"]);
@@ -196,7 +201,7 @@ fn an_exported_policy_is_what_was_trained() {
     assert_eq!(read(&out.join("weights.safetensors")), read(&best.join("weights.safetensors")));
     let manifest = read_json(&out.join("manifest.json"));
     assert_eq!(manifest["updates"], 12);
-    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/policy.v2.json");
+    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/policy.v3.json");
     let schema = jsonschema::validator_for(&read_json(&schema)).expect("a schema");
     assert!(schema.is_valid(&manifest), "{manifest}");
     assert!(manifest["score"].is_number(), "the best checkpoint was judged");
@@ -275,6 +280,61 @@ fn a_trained_policy_is_evaluated_beside_the_others() {
     assert!(at("agent", 4) <= at("oracle", 4));
 }
 
+/// Cells of 11 m instead of 4 m, 44 × 44 of them, and six cells a step: trained on and flown over; the policy
+/// flies over larger maps too. The paper's network cannot.
+#[test]
+fn maps_and_reaches_of_other_sizes_train_and_evaluate() {
+    let dir = temporary_dir();
+    let (coarse, config) = (dir.path().join("coarse"), dir.path().join("reach.toml"));
+    run(shard(&HELSINKI.tiles, &HELSINKI.rsrp, &coarse).args(["--downsample", "11"])).succeeds();
+    let evaluate = |policy: &Path, dataset: &Path, config: &Path| {
+        let mut command = holescout("evaluate");
+        command.arg("--policy").arg(policy.join("best")).arg("--config").arg(config);
+        command.arg("--out").arg(dir.path().join("evaluation")).arg("--overwrite");
+        command.args(["--split", "val", "--starts", "5", "--methods", "rsp,trees,agent"]);
+        run(command.arg("--dataset").arg(dataset))
+    };
+    write(&config, format!("[rl]\nreach_cells = 6\n{SMALL}"));
+    let of_coarse = dir.path().join("of_coarse");
+    run(&mut train_on(&coarse, &of_coarse, &config, &[])).succeeds();
+    for dataset in [&coarse, &HELSINKI.dataset] {
+        assert_says(&evaluate(&of_coarse, dataset, &config).succeeds(), &["Agent", "Predictor"]);
+    }
+
+    let paper = dir.path().join("paper.toml");
+    let settings = ["encoding = 'paper'", "hole_prediction = 0.0", ""];
+    write(&paper, format!("{SMALL}{}", settings.join("\n")));
+    let of_paper = dir.path().join("of_paper");
+    run(&mut train(&of_paper, &paper, &["--updates", "2"])).succeeds();
+    let refused = evaluate(&of_paper, &coarse, &paper).refused();
+    assert_says(&refused, &["44 × 44", "31 × 31", "rl.reach_cells", "train.encoding"]);
+}
+
+/// What an older version wrote is told from what is damaged.
+#[test]
+fn checkpoints_of_an_older_version_are_refused_with_the_way_on() {
+    let dir = temporary_dir();
+    let config = dir.path().join("small.toml");
+    write(&config, SMALL);
+    let out = dir.path().join("run");
+    run(&mut train(&out, &config, &["--updates", "2"])).succeeds();
+    for checkpoint in ["checkpoints/000000002", "best"] {
+        let state = out.join(checkpoint).join("state.msgpack");
+        let mut bytes = read(&state);
+        let version = b"checkpoint.v3";
+        let at = bytes.windows(version.len()).position(|window| window == version);
+        let last = at.expect("the schema is told") + version.len() - 1;
+        bytes[last] = b'1';
+        write(&state, bytes);
+    }
+    let way_on = ["checkpoint.v1", "checkpoint.v3", "another directory"];
+    assert_says(&run(&mut train(&out, &config, &["--updates", "2"])).refused(), &way_on);
+    let mut evaluate = holescout("evaluate");
+    evaluate.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(out.join("best"));
+    evaluate.arg("--out").arg(dir.path().join("none")).args(["--split", "val"]);
+    assert_says(&run(&mut evaluate).refused(), &way_on);
+}
+
 #[test]
 fn what_cannot_be_trained_on_is_refused() {
     let dir = temporary_dir();
@@ -285,7 +345,10 @@ fn what_cannot_be_trained_on_is_refused() {
     };
     let paper = "[rl]\nreach_cells = 14\n[train]\nencoding = 'paper'";
     assert_says(&refused(paper), &["31 × 31", "29 × 29", "rl.reach_cells", "train.encoding"]);
-    assert_says(&refused("[train]\nreturn_steps = 2"), &["train.factored", "train.return_steps"]);
+    assert_says(
+        &refused("[train]\nfactored = true\nreturn_steps = 2"),
+        &["train.factored", "train.return_steps"],
+    );
     assert_says(&refused("[train]\nchannels = ['visited']"), &["train.channels", "height"]);
     assert_says(&refused("[train]\nwarmup = 1"), &["train.warmup", "train.batch"]);
     assert_says(&refused("[train]\nreturn_steps = 9"), &["train.return_steps", "1 to 8"]);

@@ -152,9 +152,13 @@ pub struct TrainConfig {
     /// Weight of the cross-entropy of the head that predicts for each move whether it leads to a
     /// hole, P(hole), over permissible moves to cells not yet visited; 0 for no such head.
     pub hole_prediction: f64,
-    /// Q-values are (1 - P(hole)) (r + γ V), r being the reward of a step: a network learns
-    /// P(hole) of all moves and V, the value of what follows, of the moves taken.
+    /// Q-values are (1 - P(hole)) (r + γ V), r being the reward of a step: a network learns P(hole) of
+    /// all moves, and V, the value of what follows, of `value_moves` of a state.
     pub factored: bool,
+    /// Moves of a state that V is learned from: the one taken and random others that lead to no hole. As many
+    /// fewer states of a batch are looked at. How V differs from move to move is learned by comparing
+    /// them, so 1 learns only what they have in common.
+    pub value_moves: u32,
     /// Teach the Q-values of all actions that end the episode, not only of the one taken.
     pub dense_terminal: bool,
     /// Choose among permissible actions only.
@@ -203,7 +207,7 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             seed: 0,
-            updates: 20_000,
+            updates: 2000,
             batch: 64,
             episodes: 64,
             updates_per_step: 1,
@@ -225,7 +229,8 @@ impl Default for TrainConfig {
             squared_reward: 0.0,
             reward_prediction: 0.0,
             hole_prediction: 1.0,
-            factored: true,
+            factored: false,
+            value_moves: 4,
             dense_terminal: false,
             mask_actions: true,
             avoid_visited: true,
@@ -239,8 +244,8 @@ impl Default for TrainConfig {
             refresh_every: 8,
             block: None,
             on_damage: OnDamage::Error,
-            checkpoint_every: 1000,
-            evaluate_every: 1000,
+            checkpoint_every: 250,
+            evaluate_every: 250,
             evaluate_maps: 100,
             evaluate_starts: 100,
             patience: 0,
@@ -260,7 +265,6 @@ impl TrainConfig {
             clip_norm: 0.0,
             squared_reward: 1.0,
             hole_prediction: 0.0,
-            factored: false,
             mask_actions: false,
             avoid_visited: false,
             augment: false,
@@ -290,6 +294,7 @@ impl TrainConfig {
             ("train.replay", self.replay, 100_000_000),
             ("train.warmup", self.warmup, self.replay),
             ("train.return_steps", self.return_steps, 8),
+            ("train.value_moves", self.value_moves, 64),
             ("train.target_sync", self.target_sync, 10_000_000),
             ("train.map_memory_mb", self.map_memory_mb, 1_000_000),
             ("train.refresh_every", self.refresh_every, 10_000_000),
@@ -329,10 +334,12 @@ impl TrainConfig {
             demand(value >= 0.0 && value.is_finite(), key, value, "0 or more")?;
         }
         let factored_needs = "false, or train.hole_prediction above 0, train.mask_actions, \
-                              train.return_steps = 1 and no train.dueling";
+                              train.return_steps = 1, train.priority_exponent = 0 and no \
+                              train.dueling";
         let can_be_factored = self.hole_prediction > 0.0
             && self.mask_actions
             && self.return_steps == 1
+            && self.priority_exponent <= 0.0
             && !self.dueling;
         demand(!self.factored || can_be_factored, "train.factored", true, factored_needs)?;
         let avoid_needs = "false, or train.mask_actions";

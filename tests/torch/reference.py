@@ -39,13 +39,15 @@ def q_values(weights: Weights, whole: torch.Tensor, near: torch.Tensor, preset: 
     """Q-values, [batch, 961], and what else there is a head for."""
     hidden, outputs = outputs_of(weights, whole, near)
     first, *others = outputs.flatten(2).unbind(1)
-    if preset == "best":
-        (holes,) = others
-        return {"q": (1 - holes.sigmoid()) * (-0.25 + 0.99 * first), "following": first, "holes": holes}
     if "value.weight" in weights:
-        value = functional.linear(hidden.mean((2, 3)), weights["value.weight"], weights["value.bias"])
-        first = first - first.mean(1, keepdim=True) + value
-    return {"q": first} | dict(zip(("rewards", "holes"), others, strict=False))
+        level = functional.linear(hidden.mean((2, 3)), weights["value.weight"], weights["value.bias"])
+        if preset == "factored":
+            (holes,) = others
+            q = (1 - holes.sigmoid()) * (-0.25 + 0.99 * (first + level))
+            return {"q": q, "level": level[:, 0], "advantages": first, "holes": holes}
+        first = first - first.mean(1, keepdim=True) + level
+    names = ("holes",) if preset == "best" else ("rewards", "holes")
+    return {"q": first} | dict(zip(names, others, strict=False))
 
 
 def loss(policy: Weights, target: Weights, batch: dict[str, torch.Tensor], preset: str) -> dict[str, torch.Tensor]:
@@ -57,20 +59,30 @@ def loss(policy: Weights, target: Weights, batch: dict[str, torch.Tensor], prese
         best = online.argmax(1)
         value = q_values(target, batch["next_map"], batch["next_window"], preset)["q"]
         value = value[torch.arange(len(best)), best]
-        y = batch["reward"].index_add(0, batch["next_of"], batch["discount"] * value)
+        if preset != "factored":
+            y = batch["reward"].index_add(0, batch["next_of"], batch["discount"] * value)
     outputs = q_values(policy, batch["map"], batch["window"], preset)
-    q, rows = outputs["q"], torch.arange(len(y))
+    q, rows = outputs["q"], torch.arange(len(batch["reward"]))
     if preset == "paper":
         q_loss = ((y - q[rows, batch["action"]]) ** 2).mean()
         return {"loss": q_loss + (batch["reward"] ** 2).mean(), "q_loss": q_loss}
     terminal, allowed = batch["all_terminal"], batch["all_allowed"]
     errors = functional.binary_cross_entropy(outputs["holes"].sigmoid(), terminal, reduction="none")
     hole_loss = torch.stack([row[of > 0].mean() for row, of in zip(errors, allowed, strict=True)]).mean()
-    if preset == "best":
-        following = outputs["following"][rows, batch["action"]][batch["next_of"]]
-        q_loss = functional.huber_loss(following, value)
+    if preset == "factored":
+        levels, moves = [], []
+        for state in batch["next_of"].unique():
+            of = batch["next_of"] == state
+            advantages, wanted = outputs["advantages"][state, batch["next_action"][of]], value[of]
+            level = outputs["level"][state] + advantages.detach().mean()
+            levels.append(functional.huber_loss(level, wanted.mean()))
+            compared = (advantages - advantages.mean(), wanted - wanted.mean())
+            moves.append(functional.huber_loss(*compared, reduction="none"))
+        q_loss = torch.stack(levels).mean() + torch.cat(moves).mean()
         return {"loss": q_loss + hole_loss, "q_loss": q_loss, "hole_loss": hole_loss}
     errors = functional.huber_loss(q[rows, batch["action"]], y, reduction="none")
+    if preset == "best":
+        return {"loss": errors.mean() + hole_loss, "q_loss": errors.mean(), "hole_loss": hole_loss}
     q_loss = (errors * batch["weights"]).mean()
     dense = functional.huber_loss(q[terminal > 0], torch.zeros_like(q[terminal > 0]))
     rewards = ((outputs["rewards"] - batch["all_rewards"]) ** 2).mean()

@@ -19,7 +19,7 @@ def double(path: Path) -> dict[str, torch.Tensor]:
     return {name: one.double() if one.is_floating_point() else one for name, one in load_file(path).items()}
 
 
-@pytest.mark.parametrize("preset", ["best", "paper", "other"])
+@pytest.mark.parametrize("preset", ["best", "factored", "paper", "other"])
 def test_losses_and_gradients_agree(tmp_path: Path, preset: str) -> None:
     options = [] if preset == "best" else [preset]
     command = [os.environ["DDQN_REFERENCE"], os.environ["HOLESCOUT_DATASET"], tmp_path, *options]
@@ -28,12 +28,16 @@ def test_losses_and_gradients_agree(tmp_path: Path, preset: str) -> None:
         double(tmp_path / f"{name}.safetensors") for name in ("inputs", "policy", "target", "outputs")
     )
     steps, discount = 3 if preset == "other" else 1, batch["discount"]
-    assert 0 < len(discount) < len(batch["action"]), "some episodes end, others go on"
+    if preset == "factored":
+        states, counts = batch["next_of"].unique(return_counts=True)
+        assert len(states) == len(batch["action"]) // 4 and counts.max() == 4, "a few states, several moves"
+    else:
+        assert 0 < len(discount) < len(batch["action"]), "some episodes end, others go on"
     assert abs(discount.max() - 0.99) < 1e-6 and abs(discount.min() - 0.99**steps) < 1e-6
     assert batch["reward"].unique().numel() >= 3, "all three rewards"
     for parameter in policy.values():
         parameter.requires_grad_()
-    if preset == "best":
+    if preset in ("best", "factored"):
         assert (batch["all_allowed"][:, 480] == 0).all(), "to stay is not allowed"
     found = q_values(policy, batch["map"], batch["window"], preset)["q"]
     assert (found - outputs["q_values"]).abs().max() < TOLERANCE

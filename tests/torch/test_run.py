@@ -65,11 +65,11 @@ def test_tensorboard_reads_the_events(tmp_path: Path) -> None:
     assert [step for step, _ in found["precision/1"]] == [12, UPDATES]
 
 
-PLAIN = "factored = false\nhole_prediction = 0.0\n"
+PLAIN = "hole_prediction = 0.0\n"
 PAPER = f"encoding = 'paper'\n{PLAIN}"
 
 
-@pytest.mark.parametrize("options", ["", f"{PLAIN}dueling = true\n", PAPER, f"{PAPER}dueling = true\n", f"{PAPER}reward_prediction = 1.0\n"])
+@pytest.mark.parametrize("options", ["", "factored = true\n", f"{PLAIN}dueling = true\n", PAPER, f"{PAPER}dueling = true\n", f"{PAPER}reward_prediction = 1.0\n"])
 def test_the_card_of_a_policy_tells_how_to_use_it(tmp_path: Path, options: str) -> None:
     run, policy, reference = train(tmp_path, options), tmp_path / "policy", tmp_path / "reference"
     holescout("export-policy", run / "best", "--out", policy)

@@ -1,5 +1,6 @@
 //! From references in the replay to tensors: states are encoded when they are sampled.
 
+use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -46,11 +47,14 @@ pub struct All {
 }
 
 /// The states after the steps of those transitions of a batch that do not end at a hole: no other
-/// state is worth anything, so no other is looked at.
+/// state is worth anything, so no other is looked at. For a factored network these are states after several
+/// moves of a part of the transitions, see `train.value_moves`.
 #[derive(Debug)]
 pub struct Next {
     /// Positions of the transitions in the batch, `[nexts]`.
     pub of: Tensor,
+    /// The moves that lead there, `[nexts]`.
+    pub action: Tensor,
     /// The map, `[nexts, channels, rows, columns]`.
     pub map: Tensor,
     /// The window, `[nexts, channels, rows, columns]`.
@@ -71,6 +75,20 @@ pub struct Batcher {
     /// If states are encoded elsewhere than on the CPU.
     on_device: Option<DeviceEncoder>,
     discount: f64,
+    /// Moves of a state that V is learned from, if the network is factored.
+    value_moves: Option<usize>,
+}
+
+/// A state after a move.
+struct After<'a> {
+    /// Position of the transition in the batch.
+    of: usize,
+    map: u32,
+    path: Cow<'a, [Cell]>,
+    action: i64,
+    symmetry: Symmetry,
+    /// What a value there is worth here.
+    factor: f64,
 }
 
 /// The maps, and what is known of actions on them.
@@ -134,6 +152,7 @@ impl Batcher {
             device,
             on_device,
             discount: train.discount,
+            value_moves: train.factored.then_some(train.value_moves as usize),
         };
         for (place, (number, map)) in maps.into_iter().enumerate() {
             batcher.replace(place, number, map);
@@ -185,33 +204,34 @@ impl Batcher {
         encode_states(&self.encoder, &states, self.device, buffers)
     }
 
-    /// A batch of transitions; with `augment` each is turned or flipped as the keyed random
-    /// numbers tell.
+    /// A batch of transitions; with `augment` each is turned or flipped at random.
     ///
     /// # Panics
     /// If a transition is on a map that is not held.
     #[must_use]
-    pub fn batch(&self, transitions: &[Transition], augment: Option<&mut Random>) -> Batch {
-        let symmetries: Vec<Symmetry> = match augment {
-            Some(random) => {
-                let symmetry = |_| Symmetry::new(random.below(Symmetry::COUNT));
-                transitions.iter().map(symmetry).collect()
-            }
-            None => vec![Symmetry::IDENTITY; transitions.len()],
+    pub fn batch(&self, transitions: &[Transition], augment: bool, random: &mut Random) -> Batch {
+        let mut symmetry = |_: &Transition| {
+            let random = augment.then(|| random.below(Symmetry::COUNT));
+            random.map_or(Symmetry::IDENTITY, Symmetry::new)
         };
+        let symmetries: Vec<Symmetry> = transitions.iter().map(&mut symmetry).collect();
         let turned: Vec<Turned<'_>> = transitions.iter().zip(symmetries).collect();
-        let goes_on = (0_i64..).zip(&turned).filter(|(_, (transition, _))| !transition.terminal);
-        let (of, going_on): (Vec<i64>, Vec<Turned<'_>>) = goes_on.unzip();
-        let [map, window] = self.turned_states(&turned, Transition::before);
-        let [next_map, next_window] = self.turned_states(&going_on, |transition| &transition.path);
+        let afters = self.afters(&turned, random);
+        let before = turned.iter().map(|&(transition, symmetry)| {
+            self.reference(transition.map, transition.before(), symmetry)
+        });
+        let [map, window] = self.encode(&before.collect::<Vec<_>>());
+        let after =
+            afters.iter().map(|after| self.reference(after.map, &after.path, after.symmetry));
+        let [next_map, next_window] = self.encode(&after.collect::<Vec<_>>());
         let floats = |numbers: &[f32]| upload(numbers, self.device);
         let count = self.encoder.actions().count() as i64;
         let maps = &self.maps;
-        let allowed: Vec<f32> = going_on
+        let allowed: Vec<f32> = afters
             .par_iter()
-            .flat_map_iter(|&(transition, symmetry)| {
-                let (_, set) = maps.choices(transition.map, &transition.path);
-                maps.turn(&set.flags(count as usize), symmetry)
+            .flat_map_iter(|after| {
+                let (_, set) = maps.choices(after.map, &after.path);
+                maps.turn(&set.flags(count as usize), after.symmetry)
             })
             .collect();
         let all = |rows: &[Vec<f32>]| floats(&rows.concat()).reshape([-1, count]);
@@ -226,8 +246,9 @@ impl Batcher {
         });
         let returns = transitions.iter().map(|transition| transition.discounted(self.discount).0);
         let returns: Vec<f32> = returns.map(|of| of as f32).collect();
-        let factors = going_on.iter().map(|(transition, _)| transition.discounted(self.discount).1);
-        let factors: Vec<f32> = factors.map(|of| of as f32).collect();
+        let factors: Vec<f32> = afters.iter().map(|after| after.factor as f32).collect();
+        let of: Vec<i64> = afters.iter().map(|after| after.of as i64).collect();
+        let next_actions: Vec<i64> = afters.iter().map(|after| after.action).collect();
         let actions: Vec<i64> = turned.iter().map(|at| maps.action(at)).collect();
         Batch {
             map,
@@ -236,6 +257,7 @@ impl Batcher {
             reward: floats(&returns),
             next: Next {
                 of: upload(&of, self.device),
+                action: upload(&next_actions, self.device),
                 map: next_map,
                 window: next_window,
                 allowed: floats(&allowed).reshape([-1, count]),
@@ -245,13 +267,44 @@ impl Batcher {
         }
     }
 
-    /// Map and window of a state of each transition.
-    fn turned_states(&self, of: &[Turned<'_>], visited: fn(&Transition) -> &[Cell]) -> [Tensor; 2] {
-        let references = of.iter().map(|&(transition, symmetry)| {
-            let (place, world) = self.maps.place(transition.map);
-            Reference { place, world, visited: visited(transition), symmetry }
+    /// The states that are looked at beside those before the steps.
+    fn afters<'a>(&self, turned: &[Turned<'a>], random: &mut Random) -> Vec<After<'a>> {
+        let Some(moves) = self.value_moves else {
+            let goes_on = turned.iter().enumerate().filter(|(_, (one, _))| !one.terminal);
+            let after = |(of, at): (usize, &Turned<'a>)| {
+                let (action, &(transition, symmetry)) = (self.maps.action(at), at);
+                let factor = transition.discounted(self.discount).1;
+                let path = Cow::Borrowed(&transition.path[..]);
+                After { of, map: transition.map, path, action, symmetry, factor }
+            };
+            return goes_on.map(after).collect();
+        };
+        let looked_at = turned.len().div_ceil(moves);
+        let afters = turned[..looked_at].iter().enumerate().flat_map(|(of, &at)| {
+            let (transition, symmetry) = at;
+            let (map, before) = (transition.map, transition.before());
+            let cells = self.maps.going_on(transition, moves, random);
+            let from = before[before.len() - 1];
+            cells.into_iter().map(move |(action, by)| {
+                let path = [before, &[from + by]].concat().into();
+                After { of, map, path, action, symmetry, factor: self.discount }
+            })
         });
-        self.encode(&references.collect::<Vec<_>>())
+        let mut afters: Vec<After<'_>> = afters.collect();
+        for after in &mut afters {
+            after.action = self.maps.turned_action(after.action, after.symmetry);
+        }
+        afters
+    }
+
+    fn reference<'a>(
+        &'a self,
+        number: u32,
+        visited: &'a [Cell],
+        symmetry: Symmetry,
+    ) -> Reference<'a> {
+        let (place, world) = self.maps.place(number);
+        Reference { place, world, visited, symmetry }
     }
 }
 
@@ -267,10 +320,36 @@ impl Maps {
 
     /// The action of a transition.
     fn action(&self, &(transition, symmetry): &Turned<'_>) -> i64 {
+        self.turned_action(transition.action as i64, symmetry)
+    }
+
+    /// What becomes of an action when a state is turned.
+    fn turned_action(&self, action: i64, symmetry: Symmetry) -> i64 {
         let side = self.sight.actions().side();
-        let [row, column] = [transition.action / side, transition.action % side];
+        let [row, column] = [action / side as i64, action % side as i64];
         let cell = symmetry.of(Cell::new(row as i32, column as i32), side);
         i64::from(cell.row) * side as i64 + i64::from(cell.column)
+    }
+
+    /// At most so many actions that may be chosen before a step and lead to no hole, with their moves: the one
+    /// taken first, if it does so, then others at random.
+    fn going_on(
+        &self,
+        transition: &Transition,
+        count: usize,
+        random: &mut Random,
+    ) -> Vec<(i64, Cell)> {
+        let (before, (_, world)) = (transition.before(), self.place(transition.map));
+        let (from, actions) = (before[before.len() - 1], self.sight.actions());
+        let (_, allowed) = self.choices(transition.map, before);
+        let goes_on = |&action: &usize| !world.is_hole(from + actions.offset(action));
+        let taken = transition.action;
+        let others: Vec<usize> =
+            allowed.iter().filter(|&action| action != taken).filter(goes_on).collect();
+        let taken = Some(taken).filter(|&taken| allowed.contains(taken)).filter(goes_on);
+        let left = count - usize::from(taken.is_some());
+        let chosen = taken.into_iter().chain(random.sample(&others, left));
+        chosen.map(|action| (action as i64, actions.offset(action))).collect()
     }
 
     /// Where a step may lead from the last of the visited cells, and the actions that may be chosen.
@@ -358,7 +437,7 @@ fn encode_states(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::drawn_world as world;
+    use crate::rl::{Actions, drawn_world as world};
 
     fn step(map: u32, cells: &[(i32, i32)], terminal: bool) -> Transition {
         let path = cells.iter().map(|&(row, column)| Cell::new(row, column)).collect();
@@ -379,7 +458,7 @@ mod tests {
         });
         let check = |batchers: &[Batcher; 2], transitions: &[Transition]| {
             let [here, there] = [&batchers[0], &batchers[1]]
-                .map(|batcher| batcher.batch(transitions, Some(&mut Random::keyed(&[3]))));
+                .map(|batcher| batcher.batch(transitions, true, &mut Random::keyed(&[3])));
             for (here, there) in [
                 (&here.map, &there.map),
                 (&here.window, &there.window),
@@ -406,5 +485,37 @@ mod tests {
         }
         let [.., on_second] = transitions;
         check(&batchers, &[step(5, &[(1, 1), (0, 2)], false), on_second]);
+    }
+
+    /// V is learned from several moves of a part of the states: the one taken, and others that go on too.
+    #[test]
+    fn v_is_learned_from_moves_that_go_on() {
+        let map = Arc::new(world("o..#.\n.#...\n...o.\n##...\n....o", 2));
+        let rl = RlConfig { reach_cells: 2, ..RlConfig::default() };
+        let train = TrainConfig { factored: true, value_moves: 2, ..TrainConfig::default() };
+        let batcher = Batcher::new(vec![(4, Arc::clone(&map))], &rl, &train, Device::Cpu);
+        let path = [(0, 1), (0, 2), (1, 2)].map(|(row, column)| Cell::new(row, column));
+        // One cell to the south, of 5 × 5 moves.
+        let taken = 17_usize;
+        let one = Transition {
+            map: 4,
+            path: path.to_vec(),
+            action: taken,
+            rewards: vec![-0.25],
+            terminal: false,
+        };
+        let batch = batcher.batch(&vec![one; 6], false, &mut Random::keyed(&[3]));
+        let numbers = |of: &Tensor| Vec::<i64>::try_from(of).expect("numbers");
+        assert_eq!(numbers(&batch.next.of), [0, 0, 1, 1, 2, 2]);
+        let (actions, from) = (Actions::new(2), path[1]);
+        for moves in numbers(&batch.next.action).chunks_exact(2) {
+            assert_eq!(moves[0], taken as i64);
+            let unique: std::collections::BTreeSet<_> = moves.iter().collect();
+            assert_eq!(unique.len(), 2, "{moves:?}");
+            for &action in moves {
+                let to = from + actions.offset(action as usize);
+                assert!(map.is_free(to) && !map.is_hole(to) && !path[..2].contains(&to), "{to:?}");
+            }
+        }
     }
 }

@@ -23,7 +23,7 @@ use crate::store::{MANIFEST, sha256_file, write_atomic};
 
 /// What names of directories begin with that are not whole yet.
 pub(super) const TEMPORARY: &str = ".holescout-checkpoint-";
-const SCHEMA: &str = "checkpoint.v2";
+const SCHEMA: &str = "checkpoint.v3";
 pub(super) const WEIGHTS: &str = "weights.safetensors";
 const LEARNING: &str = "learning.safetensors";
 const STATE: &str = "state.msgpack";

@@ -93,13 +93,14 @@ struct Sections<'a> {
 
 /// The end of the Python function: from the channels of the last layer to Q-values.
 fn values(train: &TrainConfig) -> String {
+    let level = "    value = F.linear(hidden.mean((2, 3)), weights[\"value.weight\"], weights[\"value.bias\"])\n";
     if train.factored {
         let (step, discount) = (REWARD_STEP, train.discount);
         let chance = "    hole = out[:, -1].sigmoid()  # the chance that a move leads to a hole\n";
-        format!("{chance}    return (1 - hole) * ({step} + {discount} * out[:, 0])")
+        let q = format!("(1 - hole) * ({step} + {discount} * (out[:, 0] + value))");
+        format!("{chance}{level}    return {q}")
     } else if train.dueling {
-        let value = "    value = F.linear(hidden.mean((2, 3)), weights[\"value.weight\"], weights[\"value.bias\"])\n";
-        format!("{value}    return out[:, 0] - out[:, 0].mean(1, keepdim=True) + value")
+        format!("{level}    return out[:, 0] - out[:, 0].mean(1, keepdim=True) + value")
     } else {
         "    return out[:, 0]".to_owned()
     }

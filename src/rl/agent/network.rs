@@ -74,6 +74,8 @@ pub struct Outputs {
     pub q: Tensor,
     /// V, the value of what follows each move if it leads to no hole, in a factored network.
     pub following: Option<Tensor>,
+    /// The part of V that is the same for all moves, `[batch, 1]`, in a factored network.
+    pub level: Option<Tensor>,
     /// The predicted rewards, if there is a head for them.
     pub rewards: Option<Tensor>,
     /// The log-odds that each move leads to a hole, if there is a head for them.
@@ -111,15 +113,9 @@ impl Heads {
         self.holes.then(|| channels.select(1, self.count() - 1))
     }
 
-    /// Q-values, of the same.
-    fn q(self, channels: &Tensor) -> Tensor {
-        let first = channels.select(1, 0);
-        match (self.factored, self.holes(channels)) {
-            (Some(discount), Some(odds)) => {
-                (discount * first + f64::from(REWARD_STEP)) * (-odds).sigmoid()
-            }
-            _ => first,
-        }
+    /// Whether a part of the values is linear in the means of what the last layer gets.
+    fn has_level(self) -> bool {
+        self.dueling || self.factored.is_some()
     }
 }
 
@@ -148,7 +144,7 @@ fn views(parameters: &[Parameter], row: &Tensor) -> Vec<Tensor> {
 
 impl QNetwork {
     /// Random weights, as `PyTorch` draws them by default (uniform within ±1/√fan-in), by our own
-    /// generator.
+    /// generator; V is 0.
     ///
     /// # Errors
     /// If maps of so many cells do not fit the window.
@@ -182,8 +178,21 @@ impl QNetwork {
             let [first, second] = if layer.transposed { [from, to] } else { [to, from] };
             pair(layer.name, &[first, second, layer.kernel, layer.kernel], to);
         }
-        if config.dueling {
+        if heads.has_level() {
             pair("value", &[1, config.widths[6].into()], 1);
+        }
+        if heads.factored.is_some() {
+            // V is the same everywhere until something is learned of it: a random one would lead astray.
+            let [.., weight, bias, level, last] = &parameters[..] else {
+                unreachable!("the last layer and the value have weights and biases")
+            };
+            let counts = [weight, bias, level, last].map(|one| one.count() as usize);
+            let first = values.len() - counts.iter().sum::<usize>();
+            let outputs = heads.count() as usize;
+            values[first..first + counts[0] / outputs].fill(0.0);
+            values[first + counts[0]] = 0.0;
+            let of_level = values.len() - counts[2] - counts[3];
+            values[of_level..].fill(0.0);
         }
         let computing = Computing::new(config.precision, device);
         let learned = upload(&values, device);
@@ -303,29 +312,42 @@ impl QNetwork {
             Encoding::Centered => centered::forward(inputs, &pairs),
         };
         let (heads, out) = (self.heads, out.to_kind(Kind::Float).flatten(2, 3));
-        let mut q = heads.q(&out);
-        if let ([.., [weight, bias]], true) = (&pairs[..], heads.dueling) {
+        let level = heads.has_level().then(|| {
+            let [.., [weight, bias]] = &pairs[..] else { unreachable!("it is the last pair") };
             let means = hidden.mean_dim(&[2_i64, 3][..], false, None);
-            let value = means.linear(weight, Some(*bias)).to_kind(Kind::Float);
-            q = &q - q.mean_dim(1, true, None) + value;
-        }
+            means.linear(weight, Some(*bias)).to_kind(Kind::Float)
+        });
+        let (first, holes) = (out.select(1, 0), heads.holes(&out));
+        let values = match &level {
+            Some(level) if heads.dueling => &first - first.mean_dim(1, true, None) + level,
+            Some(level) => first + level,
+            None => first,
+        };
+        let q = match (heads.factored, &holes) {
+            (Some(discount), Some(odds)) => {
+                (discount * &values + f64::from(REWARD_STEP)) * (-odds).sigmoid()
+            }
+            _ => values.shallow_clone(),
+        };
+        let is_factored = heads.factored.is_some();
         Outputs {
             q,
-            following: heads.factored.map(|_| out.select(1, 0)),
+            following: is_factored.then_some(values),
+            level: level.filter(|_| is_factored),
             rewards: heads.rewards.then(|| out.select(1, 1)),
-            holes: heads.holes(&out),
+            holes,
         }
     }
 
     /// The Q-value of one action for each state: `actions` and the result are `[batch]`.
     pub fn values_of(&self, inputs: &Inputs, actions: &Tensor) -> Tensor {
         // The value of a state depends on all of it, and so do Q-values in a U-Net.
-        if self.heads.dueling || self.heads.encoding == Encoding::Centered {
+        if self.heads.has_level() || self.heads.encoding == Encoding::Centered {
             let q_values = self.forward(inputs).q;
             return q_values.gather(1, &actions.unsqueeze(1), false).squeeze_dim(1);
         }
         let outputs = paper::outputs_of(inputs, &self.pairs(), actions);
-        self.heads.q(&outputs.to_kind(Kind::Float))
+        outputs.to_kind(Kind::Float).select(1, 0)
     }
 
     /// The first of the allowed actions with the greatest Q-value, for each state: `[batch]`.

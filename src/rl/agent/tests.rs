@@ -212,9 +212,15 @@ fn factored_q_values_by_hand() {
             factored: true,
             ..small()
         };
-        let (network, inputs) = centered(&config, 15);
+        let (mut network, inputs) = centered(&config, 15);
+        assert!(values(&network).contains(&0.0), "V is 0 at first");
+        // A dueling network has the same weights, of which none are 0.
+        let random = TrainConfig { factored: false, dueling: true, ..config.clone() };
+        network.approach(&centered(&random, 15).0, 1.0);
         let inputs = network.inputs(&inputs[0], &inputs[1]);
         let outputs = tch::no_grad(|| network.forward(&inputs));
+        let level = outputs.level.expect("it is");
+        assert!(level.abs().min().double_value(&[]) > 0.0, "{level:?}");
         let (following, odds) = (outputs.following.expect("it is"), outputs.holes.expect("it is"));
         let chance: Tensor = 1.0 / (1.0 + (-odds).exp());
         let expected = (1.0 - chance) * (0.99 * following - 0.25);

@@ -330,15 +330,15 @@ impl<'a> Trainer<'a> {
         let positions: Vec<usize> = (0..train.batch).map(|_| self.draw(&mut random)).collect();
         let transitions: Vec<Transition> =
             positions.iter().map(|&at| self.replay.get(at)).collect();
-        let batch = self.batcher.batch(&transitions, train.augment.then_some(&mut random));
+        let batch = self.batcher.batch(&transitions, train.augment, &mut random);
         let weights = self.importance(&positions);
         let parts = loss(&self.policy, &self.target, &batch, weights.as_ref(), train);
         let gradients = Tensor::run_backward(&[&parts.total], self.policy.leaves(), false, false);
         let (rate, clip) = (self.learning_rate(), train.clip_norm);
         let norm = self.adam.step(&mut self.policy, &gradients, rate, clip);
         self.totals.add(&parts, &norm);
-        if let Some(priorities) = &mut self.priorities {
-            let errors = Vec::<f32>::try_from(&parts.errors).expect("a row of numbers");
+        if let (Some(priorities), Some(errors)) = (&mut self.priorities, &parts.errors) {
+            let errors = Vec::<f32>::try_from(errors).expect("a row of numbers");
             let errors = positions.iter().zip(errors).filter(|(_, error)| error.is_finite());
             errors.for_each(|(&at, error)| priorities.change(at, error));
         }
