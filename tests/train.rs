@@ -3,7 +3,7 @@
 
 mod pipeline;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,6 +17,7 @@ use holescout::rl::{MapSource, World};
 use ndarray::Array2;
 use serde_json::Value;
 use tch::Device;
+use tempfile::TempDir;
 
 use pipeline::{
     HELSINKI, Random, assert_says, holescout, read, read_json, run, sha256, shard, temporary_dir,
@@ -49,6 +50,23 @@ fn train_on(dataset: &Path, run: &Path, config: &Path, options: &[&str]) -> Comm
     command.arg("--run").arg(run).args(options);
     // Sums of floating-point numbers depend on how they are split.
     command.env("OMP_NUM_THREADS", "1").args(["--threads", "1"]);
+    command
+}
+
+/// A run of two updates: a directory for the test, the configuration and the run.
+fn two_updates() -> (TempDir, PathBuf, PathBuf) {
+    let dir = temporary_dir();
+    let (config, out) = (dir.path().join("small.toml"), dir.path().join("run"));
+    write(&config, SMALL);
+    run(&mut train(&out, &config, &["--updates", "2"])).succeeds();
+    (dir, config, out)
+}
+
+/// `evaluate` of a policy on the val split.
+fn evaluate(dataset: &Path, policy: &Path, out: &Path) -> Command {
+    let mut command = holescout("evaluate");
+    command.arg("--dataset").arg(dataset).arg("--policy").arg(policy);
+    command.arg("--out").arg(out).args(["--split", "val"]);
     command
 }
 
@@ -215,35 +233,28 @@ fn an_exported_policy_is_what_was_trained() {
     }
     let evaluation = |policy: &Path| {
         let to = dir.path().join(policy.file_name().expect("a name")).with_extension("report");
-        let mut command = holescout("evaluate");
-        command.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(policy);
-        command.arg("--out").arg(&to).args(["--split", "val", "--starts", "3"]);
-        run(command.args(["--methods", "rsp", "--device", "cpu"])).succeeds();
+        let mut command = evaluate(&HELSINKI.dataset, policy, &to);
+        command.args(["--starts", "3", "--methods", "rsp", "--device", "cpu"]);
+        run(&mut command).succeeds();
         read(&to.join("report.json"))
     };
     assert_eq!(evaluation(&out), evaluation(&best));
     // Nor does it fly with states that it has never seen.
     let scaled = dir.path().join("scaled.toml");
     write(&scaled, "[rl]\nheight_scale_m = 25.0");
-    let mut command = holescout("evaluate");
-    command.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(&out).arg("--config");
-    command.arg(&scaled).arg("--out").arg(dir.path().join("none")).args(["--split", "val"]);
+    let none = dir.path().join("none");
+    let mut command = evaluate(&HELSINKI.dataset, &out, &none);
+    command.arg("--config").arg(&scaled);
     assert_says(&run(&mut command).refused(), &["rl.height_scale_m", "25 here, 50 there"]);
     // Other weights under the same manifest are found out.
     write(&again.join("weights.safetensors"), b"other");
-    let mut command = holescout("evaluate");
-    command.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(&again);
-    command.arg("--out").arg(dir.path().join("none")).args(["--split", "val"]);
+    let mut command = evaluate(&HELSINKI.dataset, &again, &none);
     assert_says(&run(&mut command).refused(), &["weights.safetensors", "manifest"]);
 }
 
 #[test]
 fn a_run_of_another_configuration_or_dataset_is_refused_with_the_difference() {
-    let dir = temporary_dir();
-    let config = dir.path().join("small.toml");
-    write(&config, SMALL);
-    let out = dir.path().join("run");
-    run(&mut train(&out, &config, &["--updates", "2"])).succeeds();
+    let (_dir, config, out) = two_updates();
     let refused = run(&mut train(&out, &config, &["--updates", "2", "--seed", "1"])).refused();
     assert_says(&refused, &["train.seed", "1 here, 0 there"]);
     // What is only watched may change.
@@ -263,11 +274,9 @@ fn a_trained_policy_is_evaluated_beside_the_others() {
     write(&config, SMALL);
     let (run_dir, out) = (dir.path().join("run"), dir.path().join("evaluation"));
     run(&mut train(&run_dir, &config, &[])).succeeds();
-    let mut evaluate = holescout("evaluate");
-    evaluate.arg("--dataset").arg(&HELSINKI.dataset).arg("--out").arg(&out);
-    evaluate.arg("--policy").arg(run_dir.join("best"));
-    evaluate.args(["--split", "val", "--starts", "5", "--methods", "rsp,oracle"]);
-    assert_says(&run(&mut evaluate).succeeds(), &["Agent"]);
+    let mut command = evaluate(&HELSINKI.dataset, &run_dir.join("best"), &out);
+    command.args(["--starts", "5", "--methods", "rsp,oracle"]);
+    assert_says(&run(&mut command).succeeds(), &["Agent"]);
     let report = read_json(&out.join("report.json"));
     let digest = sha256(&read(&run_dir.join("best/weights.safetensors")));
     assert_eq!(report["policy_sha256"], digest);
@@ -287,18 +296,17 @@ fn maps_and_reaches_of_other_sizes_train_and_evaluate() {
     let dir = temporary_dir();
     let (coarse, config) = (dir.path().join("coarse"), dir.path().join("reach.toml"));
     run(shard(&HELSINKI.tiles, &HELSINKI.rsrp, &coarse).args(["--downsample", "11"])).succeeds();
-    let evaluate = |policy: &Path, dataset: &Path, config: &Path| {
-        let mut command = holescout("evaluate");
-        command.arg("--policy").arg(policy.join("best")).arg("--config").arg(config);
-        command.arg("--out").arg(dir.path().join("evaluation")).arg("--overwrite");
-        command.args(["--split", "val", "--starts", "5", "--methods", "rsp,trees,agent"]);
-        run(command.arg("--dataset").arg(dataset))
+    let flown = |policy: &Path, dataset: &Path, config: &Path| {
+        let out = dir.path().join("evaluation");
+        let mut command = evaluate(dataset, &policy.join("best"), &out);
+        command.arg("--config").arg(config).arg("--overwrite");
+        run(command.args(["--starts", "5", "--methods", "rsp,trees,agent"]))
     };
     write(&config, format!("[rl]\nreach_cells = 6\n{SMALL}"));
     let of_coarse = dir.path().join("of_coarse");
     run(&mut train_on(&coarse, &of_coarse, &config, &[])).succeeds();
     for dataset in [&coarse, &HELSINKI.dataset] {
-        assert_says(&evaluate(&of_coarse, dataset, &config).succeeds(), &["Agent", "Predictor"]);
+        assert_says(&flown(&of_coarse, dataset, &config).succeeds(), &["Agent", "Predictor"]);
     }
 
     let paper = dir.path().join("paper.toml");
@@ -306,18 +314,14 @@ fn maps_and_reaches_of_other_sizes_train_and_evaluate() {
     write(&paper, format!("{SMALL}{}", settings.join("\n")));
     let of_paper = dir.path().join("of_paper");
     run(&mut train(&of_paper, &paper, &["--updates", "2"])).succeeds();
-    let refused = evaluate(&of_paper, &coarse, &paper).refused();
+    let refused = flown(&of_paper, &coarse, &paper).refused();
     assert_says(&refused, &["44 × 44", "31 × 31", "rl.reach_cells", "train.encoding"]);
 }
 
 /// What an older version wrote is told from what is damaged.
 #[test]
 fn checkpoints_of_an_older_version_are_refused_with_the_way_on() {
-    let dir = temporary_dir();
-    let config = dir.path().join("small.toml");
-    write(&config, SMALL);
-    let out = dir.path().join("run");
-    run(&mut train(&out, &config, &["--updates", "2"])).succeeds();
+    let (dir, config, out) = two_updates();
     for checkpoint in ["checkpoints/000000002", "best"] {
         let state = out.join(checkpoint).join("state.msgpack");
         let mut bytes = read(&state);
@@ -329,10 +333,8 @@ fn checkpoints_of_an_older_version_are_refused_with_the_way_on() {
     }
     let way_on = ["checkpoint.v1", "checkpoint.v3", "another directory"];
     assert_says(&run(&mut train(&out, &config, &["--updates", "2"])).refused(), &way_on);
-    let mut evaluate = holescout("evaluate");
-    evaluate.arg("--dataset").arg(&HELSINKI.dataset).arg("--policy").arg(out.join("best"));
-    evaluate.arg("--out").arg(dir.path().join("none")).args(["--split", "val"]);
-    assert_says(&run(&mut evaluate).refused(), &way_on);
+    let mut command = evaluate(&HELSINKI.dataset, &out.join("best"), &dir.path().join("none"));
+    assert_says(&run(&mut command).refused(), &way_on);
 }
 
 #[test]

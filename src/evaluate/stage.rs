@@ -21,7 +21,7 @@ use crate::grid::TileId;
 use crate::manifest::{EvaluationManifest, Software, fingerprint, to_json};
 use crate::progress::Progress;
 use crate::rl::policy::MakePolicy;
-use crate::rl::{Sight, World};
+use crate::rl::{PoolError, Sight, World};
 use crate::store::{OutputDir, OutputError};
 
 /// Pixels of a chart's PNG for one unit of its SVG.
@@ -227,7 +227,7 @@ fn fit(
     progress: &dyn Progress,
 ) -> Result<Fitted, EvaluateError> {
     Fitted::fit(dataset, job.config, progress).map_err(|error| match error {
-        FitError::Read(error) => error.into(),
+        FitError::Maps(PoolError::Read(error)) => error.into(),
         source => {
             let methods = &job.config.evaluate.methods;
             let (learning, others): (Vec<Method>, Vec<Method>) =

@@ -11,6 +11,9 @@ const RANGE: f64 = 6.0;
 /// squares and the mean height in one.
 const HERE: [usize; 4] = [0, 18, 19, 22];
 
+/// Columns of a row to which the base station's are added, if they are told.
+pub(super) const PLAIN: usize = 43;
+
 /// A map, prepared.
 #[derive(Debug)]
 pub(super) struct Columns {
@@ -121,6 +124,7 @@ mod tests {
         assert!((row[11] - (10.0 * far - 30.0 * near) / (near + far)).abs() < 1e-4);
         assert_eq!(row[12], 5.0);
         assert_eq!((row.len(), rows(true).len()), (13 + 26 + 4, 13 + 26 + 4 + 16));
+        assert_eq!(row.len(), PLAIN);
         assert_eq!(rows(true)[..43], row);
     }
 }

@@ -11,19 +11,16 @@ mod samples;
 mod surroundings;
 mod trees;
 
-use rayon::prelude::*;
-
 use self::neighbours::Neighbours;
 use self::samples::Samples;
 pub use self::trees::FitError;
 use self::trees::Trees;
 use crate::config::{Config, EvaluateConfig, Method, Split};
-use crate::dataset::{Dataset, ReadError};
+use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::rl::policy::{Policy, View};
-use crate::rl::{Cell, Random, Sight, World};
+use crate::rl::{Cell, Sight, World, load_sample};
 
-const CHOOSING: u64 = 6;
 /// Maps that are learned from, at most.
 const MAPS: usize = 1000;
 
@@ -52,24 +49,19 @@ impl Fitted {
             return Ok(Self::default());
         }
         progress.begin("fitting", None);
-        let ids = Random::keyed(&[*seed, CHOOSING]).sample(&dataset.ids_of(Split::Train), MAPS);
-        let maps = ids.into_par_iter().map(|id| {
-            let (record, grids) = dataset.record_with_grids(id)?;
-            Ok(World::new(&record, &grids, &config.rl))
-        });
-        let maps: Vec<World> = maps.collect::<Result<_, ReadError>>()?;
-        if maps.is_empty() {
-            return Err(FitError::NothingToFit);
-        }
+        let maps = load_sample(dataset, Split::Train, &config.rl, MAPS, *seed)?;
+        let [plain, told] = [Method::Trees, Method::TreesToldBs].map(wants);
         let sight = Sight::new(config.rl.reach_cells);
-        let trees = |method, told| {
-            let fit = || Trees::fit(&Samples::draw(&maps, &sight, *seed, told), told);
-            wants(method).then(fit).transpose()
+        // What is told of the base station comes last: both learn from the same rows.
+        let samples = (plain || told).then(|| Samples::draw(&maps, &sight, *seed, told));
+        let trees = |wanted: bool, told| {
+            let samples = samples.as_ref().filter(|_| wanted);
+            samples.map(|samples| Trees::fit(samples, told)).transpose()
         };
         let fitted = Self {
-            trees: trees(Method::Trees, false)?,
-            told: trees(Method::TreesToldBs, true)?,
-            neighbours: wants(Method::LeaveOneOut).then(|| Neighbours::fit(maps.iter())),
+            trees: trees(plain, false)?,
+            told: trees(told, true)?,
+            neighbours: wants(Method::LeaveOneOut).then(|| Neighbours::fit(&maps)),
         };
         progress.end();
         Ok(fitted)
@@ -92,7 +84,5 @@ impl Fitted {
 /// Cells that a flight may be led to, visited ones left out while there are others.
 fn moves(view: &View<'_, '_>) -> Vec<Cell> {
     let actions = view.flight.sight().actions();
-    let visited = view.flight.measurements().iter().map(|measured| measured.cell);
-    let set = view.permissible().unvisited(actions, &visited.collect::<Vec<_>>());
-    set.iter().map(|action| view.flight.cell() + actions.offset(action)).collect()
+    view.unvisited().iter().map(|action| view.flight.cell() + actions.offset(action)).collect()
 }

@@ -4,6 +4,8 @@
 //! cells, and the mean level in 3 × 3. The share of holes among the training cells of a like description is
 //! the chance that it is one. It bounds what any interpolation of measurements can do.
 
+use std::sync::Arc;
+
 use super::surroundings::Sums;
 use crate::rl::policy::{Policy, View};
 use crate::rl::{Cell, World};
@@ -27,7 +29,7 @@ pub(super) struct Neighbours {
 
 impl Neighbours {
     /// Of the free cells of some maps.
-    pub(super) fn fit<'a>(maps: impl Iterator<Item = &'a World>) -> Self {
+    pub(super) fn fit(maps: &[Arc<World>]) -> Self {
         let count = SHARES[0] * SHARES[1] * LEVELS;
         // A description that was never seen is as likely as not.
         let mut table = Self { seen: vec![2.0; count], holes: vec![1.0; count] };
@@ -134,7 +136,7 @@ mod tests {
     #[test]
     fn a_cell_is_judged_by_those_around_it() {
         let train = world("ooo..\nooo..\nooo..\n.....\n.....", 4);
-        let table = Neighbours::fit([&train].into_iter());
+        let table = Neighbours::fit(&[Arc::new(train)]);
         let map = world(".....\n.....\n..ooo\n..o.o\n..ooo", 4);
         let policy = table.policy(&map);
         let chance = |row, column| policy.chances[map.index(Cell::new(row, column))];

@@ -1,5 +1,7 @@
 //! What trees are fitted on: moves from states on the maps of the train split, and whether they lead to holes.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::columns::Columns;
@@ -30,7 +32,7 @@ pub(super) struct Samples {
 
 impl Samples {
     /// Of some maps; with `told` the base station's place is a part of each row.
-    pub(super) fn draw(maps: &[World], sight: &Sight, seed: u64, told: bool) -> Self {
+    pub(super) fn draw(maps: &[Arc<World>], sight: &Sight, seed: u64, told: bool) -> Self {
         let starts = (STARTS_IN_ALL / maps.len().max(1)).clamp(1, STARTS);
         let of_maps: Vec<Self> =
             maps.par_iter().map(|world| on_map(world, sight, seed, told, starts)).collect();
@@ -93,7 +95,7 @@ mod tests {
     #[test]
     fn rows_fit_what_came_of_them() {
         let map = [".........o"; 10].join("\n");
-        let maps = [drawn_world(&map, 4), drawn_world("..\n..", 4)];
+        let maps = [drawn_world(&map, 4), drawn_world("..\n..", 4)].map(Arc::new);
         let samples = Samples::draw(&maps, &Sight::new(4), 1, false);
         assert_eq!(samples.rows.len(), samples.columns * samples.holes.len());
         assert!(samples.holes.len() > 24 * 20 && samples.holes.len() <= 24 * 40);

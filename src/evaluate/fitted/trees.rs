@@ -6,11 +6,10 @@ use forust_ml::gradientbooster::GrowPolicy;
 use forust_ml::objective::ObjectiveType;
 use forust_ml::{GradientBooster, Matrix};
 
-use super::columns::Columns;
+use super::columns::{Columns, PLAIN};
 use super::samples::Samples;
-use crate::dataset::ReadError;
 use crate::rl::policy::{Policy, View};
-use crate::rl::{Cell, World};
+use crate::rl::{Cell, PoolError, World};
 
 const TREES: usize = 300;
 const LEARNING_RATE: f32 = 0.08;
@@ -27,9 +26,9 @@ pub enum FitError {
          other cells"
     )]
     NothingToFit,
-    /// A map of the train split cannot be read.
+    /// Its maps cannot be had.
     #[error(transparent)]
-    Read(#[from] ReadError),
+    Maps(#[from] PoolError),
     /// The library refuses.
     #[error("trees cannot be fitted: {0}")]
     Library(String),
@@ -57,6 +56,7 @@ impl Trees {
     /// [`FitError`] if there is nothing to tell apart.
     pub(super) fn fit(samples: &Samples, told: bool) -> Result<Self, FitError> {
         let Samples { columns, rows, holes } = samples;
+        let width = if told { *columns } else { PLAIN };
         let found = holes.iter().sum::<f64>();
         if found == 0.0 || found == holes.len() as f64 {
             return Err(FitError::NothingToFit);
@@ -66,7 +66,7 @@ impl Trees {
             let first = values.next();
             values.any(|value| Some(value) != first)
         };
-        let kept: Vec<usize> = (0..*columns).filter(differs).collect();
+        let kept: Vec<usize> = (0..width).filter(differs).collect();
         let values = by_column(rows, *columns, &kept);
         let mut booster = GradientBooster::default()
             .set_objective_type(ObjectiveType::LogLoss)
@@ -81,7 +81,7 @@ impl Trees {
         let matrix = Matrix::new(&values, holes.len(), kept.len());
         let fitted = booster.fit_unweighted(&matrix, holes, None);
         fitted.map_err(|error| FitError::Library(error.to_string()))?;
-        Ok(Self { kept, columns: *columns, told, booster })
+        Ok(Self { kept, columns: width, told, booster })
     }
 
     /// The policy on a map.
@@ -129,6 +129,8 @@ impl Policy for ByTrees<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::rl::{Flight, Random, Sight, drawn_world};
 
@@ -137,7 +139,7 @@ mod tests {
     fn trees_find_what_tells_holes_apart() {
         let rows = ["..............."; 10].into_iter().chain(["ooooooooooooooo"; 5]);
         let map = rows.collect::<Vec<_>>().join("\n");
-        let (sight, maps) = (Sight::new(6), [drawn_world(&map, 6)]);
+        let (sight, maps) = (Sight::new(6), [Arc::new(drawn_world(&map, 6))]);
         let samples = Samples::draw(&maps, &sight, 1, false);
         let fit = |threads: usize| {
             let pool =
@@ -155,7 +157,7 @@ mod tests {
 
     #[test]
     fn without_holes_there_is_nothing_to_fit() {
-        let maps = [drawn_world(&[".........."; 10].join("\n"), 4)];
+        let maps = [Arc::new(drawn_world(&[".........."; 10].join("\n"), 4))];
         let samples = Samples::draw(&maps, &Sight::new(4), 1, false);
         assert!(matches!(Trees::fit(&samples, false), Err(FitError::NothingToFit)));
         assert!(matches!(Trees::fit(&Samples::default(), false), Err(FitError::NothingToFit)));

@@ -249,7 +249,8 @@ impl Batcher {
         let factors: Vec<f32> = afters.iter().map(|after| after.factor as f32).collect();
         let of: Vec<i64> = afters.iter().map(|after| after.of as i64).collect();
         let next_actions: Vec<i64> = afters.iter().map(|after| after.action).collect();
-        let actions: Vec<i64> = turned.iter().map(|at| maps.action(at)).collect();
+        let taken = |&(transition, symmetry): &Turned<'_>| maps.turned(transition.action, symmetry);
+        let actions: Vec<i64> = turned.iter().map(taken).collect();
         Batch {
             map,
             window,
@@ -272,7 +273,8 @@ impl Batcher {
         let Some(moves) = self.value_moves else {
             let goes_on = turned.iter().enumerate().filter(|(_, (one, _))| !one.terminal);
             let after = |(of, at): (usize, &Turned<'a>)| {
-                let (action, &(transition, symmetry)) = (self.maps.action(at), at);
+                let &(transition, symmetry) = at;
+                let action = self.maps.turned(transition.action, symmetry);
                 let factor = transition.discounted(self.discount).1;
                 let path = Cow::Borrowed(&transition.path[..]);
                 After { of, map: transition.map, path, action, symmetry, factor }
@@ -283,18 +285,16 @@ impl Batcher {
         let afters = turned[..looked_at].iter().enumerate().flat_map(|(of, &at)| {
             let (transition, symmetry) = at;
             let (map, before) = (transition.map, transition.before());
-            let cells = self.maps.going_on(transition, moves, random);
             let from = before[before.len() - 1];
-            cells.into_iter().map(move |(action, by)| {
-                let path = [before, &[from + by]].concat().into();
+            let after = move |action| {
+                let to = from + self.maps.sight.actions().offset(action);
+                let path = [before, &[to]].concat().into();
+                let action = self.maps.turned(action, symmetry);
                 After { of, map, path, action, symmetry, factor: self.discount }
-            })
+            };
+            self.maps.going_on(transition, moves, random).into_iter().map(after)
         });
-        let mut afters: Vec<After<'_>> = afters.collect();
-        for after in &mut afters {
-            after.action = self.maps.turned_action(after.action, after.symmetry);
-        }
-        afters
+        afters.collect()
     }
 
     fn reference<'a>(
@@ -318,27 +318,17 @@ impl Maps {
         (place, &self.held[place].1)
     }
 
-    /// The action of a transition.
-    fn action(&self, &(transition, symmetry): &Turned<'_>) -> i64 {
-        self.turned_action(transition.action as i64, symmetry)
-    }
-
     /// What becomes of an action when a state is turned.
-    fn turned_action(&self, action: i64, symmetry: Symmetry) -> i64 {
+    fn turned(&self, action: usize, symmetry: Symmetry) -> i64 {
         let side = self.sight.actions().side();
-        let [row, column] = [action / side as i64, action % side as i64];
+        let [row, column] = [action / side, action % side];
         let cell = symmetry.of(Cell::new(row as i32, column as i32), side);
         i64::from(cell.row) * side as i64 + i64::from(cell.column)
     }
 
-    /// At most so many actions that may be chosen before a step and lead to no hole, with their moves: the one
-    /// taken first, if it does so, then others at random.
-    fn going_on(
-        &self,
-        transition: &Transition,
-        count: usize,
-        random: &mut Random,
-    ) -> Vec<(i64, Cell)> {
+    /// At most so many actions that may be chosen before a step and lead to no hole: the one taken first, if
+    /// it does so, then others at random.
+    fn going_on(&self, transition: &Transition, count: usize, random: &mut Random) -> Vec<usize> {
         let (before, (_, world)) = (transition.before(), self.place(transition.map));
         let (from, actions) = (before[before.len() - 1], self.sight.actions());
         let (_, allowed) = self.choices(transition.map, before);
@@ -348,8 +338,7 @@ impl Maps {
             allowed.iter().filter(|&action| action != taken).filter(goes_on).collect();
         let taken = Some(taken).filter(|&taken| allowed.contains(taken)).filter(goes_on);
         let left = count - usize::from(taken.is_some());
-        let chosen = taken.into_iter().chain(random.sample(&others, left));
-        chosen.map(|action| (action as i64, actions.offset(action))).collect()
+        taken.into_iter().chain(random.sample(&others, left)).collect()
     }
 
     /// Where a step may lead from the last of the visited cells, and the actions that may be chosen.

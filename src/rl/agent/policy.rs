@@ -10,7 +10,7 @@ use super::checkpoint::{CheckpointError, load_weights};
 use super::network::{QNetwork, best};
 use crate::config::{RlConfig, TrainConfig};
 use crate::rl::policy::{MakePolicy, Policy, View};
-use crate::rl::{ActionSet, Cell, StateEncoder, World};
+use crate::rl::{ActionSet, StateEncoder, World};
 
 /// States that go through the network at a time, at most. Fewer are filled up to a multiple of an
 /// eighth: oneDNN compiles kernels for each number of states that it meets.
@@ -104,12 +104,11 @@ impl Agent {
 
     /// The actions that may be chosen.
     fn allowed(&self, view: &View<'_, '_>) -> ActionSet {
-        let permissible = view.permissible();
-        if !self.shared.avoid_visited && self.choice == Choice::QValues {
-            return permissible.into_owned();
+        if self.shared.avoid_visited || self.choice == Choice::HoleChance {
+            view.unvisited()
+        } else {
+            view.permissible().into_owned()
         }
-        let visited = view.flight.measurements().iter().map(|measured| measured.cell);
-        permissible.unvisited(self.shared.encoder.actions(), &visited.collect::<Vec<Cell>>())
     }
 }
 

@@ -13,6 +13,7 @@ pub use gradient::{Descent, DescentStyle};
 pub use shadow::ShadowSeeker;
 pub use walk::{OptimalWay, RandomWalk, WallWalk};
 
+use super::cell::Cell;
 use super::flight::Flight;
 use super::sight::ActionSet;
 use super::world::World;
@@ -41,6 +42,14 @@ impl View<'_, '_> {
             Cow::Owned(flight.sight().permissible(self.known, flight.cell()))
         }
     }
+
+    /// The same without visited cells, while there are others.
+    #[must_use]
+    pub fn unvisited(&self) -> ActionSet {
+        let visited = self.flight.measurements().iter().map(|measured| measured.cell);
+        let actions = self.flight.sight().actions();
+        self.permissible().unvisited(actions, &visited.collect::<Vec<Cell>>())
+    }
 }
 
 /// Predicts waypoints on one map.
@@ -54,7 +63,7 @@ pub trait Policy: Sync {
     }
 
     /// Whether the UAV may be led to a cell, beyond its being permissible.
-    fn allows(&self, _cell: super::cell::Cell) -> bool {
+    fn allows(&self, _cell: Cell) -> bool {
         true
     }
 }
