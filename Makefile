@@ -196,6 +196,8 @@ fmt-check: | tools
 lint: | tools
 	cargo clippy --locked --all-targets --features remote -- -D warnings
 	cargo clippy --locked --lib --bins -- -D warnings
+	@# fuzz/ has a lock file of its own, which a new dependency here leaves behind.
+	cargo metadata --locked --format-version 1 --manifest-path fuzz/Cargo.toml > /dev/null
 
 .PHONY: doc
 doc: | tools
