@@ -9,7 +9,7 @@ use std::time::Instant;
 use holescout::config::{Loss, RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
 use holescout::rl::agent::{
-    Adam, Batch, Batcher, QNetwork, TrainJob, Trainer, keep_freed_memory, loss,
+    Adam, Batch, Batcher, QNetwork, Trainer, TrainerSetup, keep_freed_memory, loss,
 };
 use holescout::rl::{Cell, MapPool, MapSource, Random, Transition};
 use tch::{Device, Kind, Tensor};
@@ -55,8 +55,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..TrainConfig::paper()
     };
     let pool = || MapSource::split(&dataset, Split::Train, &rl, 1 << 30, 0).fill();
-    let job = TrainJob { dataset_sha256: "", rl: &rl, train: &train, device };
-    let mut trainer = Trainer::new(job, pool()?)?;
+    let setup = TrainerSetup { dataset_sha256: "", rl: &rl, train: &train, device };
+    let mut trainer = Trainer::new(setup, pool()?)?;
     (0..5).try_for_each(|_| trainer.update())?;
     match seconds {
         Some(seconds) => rates(&mut trainer, &train, seconds),

@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             (other, None)
         }
         [path, ..] => {
-            let (train, network) = load_weights(path.as_ref(), 121, &rl, Device::Cpu)?;
+            let (train, network, _) = load_weights(path.as_ref(), 121, &rl, Device::Cpu)?;
             (train, Some(network))
         }
     };

@@ -35,19 +35,6 @@ impl Console {
         Self { quiet, terminal: std::io::stderr().is_terminal(), phase: Mutex::new(None) }
     }
 
-    /// Shows how the phase stands, beside its bar; a log has a line for that where it has one for
-    /// the progress.
-    #[cfg(feature = "torch")]
-    pub(crate) fn state(&self, text: &str) {
-        self.with_phase(|phase| {
-            let Some(phase) = phase else { return };
-            match &phase.bar {
-                Some(bar) => bar.set_message(text.to_owned()),
-                None => phase.state = format!(": {text}"),
-            }
-        });
-    }
-
     fn with_phase(&self, act: impl FnOnce(&mut Option<Phase>)) {
         act(&mut self.phase.lock().expect("no reporter panics while it holds the lock"));
     }
@@ -102,6 +89,17 @@ impl Progress for Console {
         self.with_phase(|phase| {
             if let Some(Phase { bar: Some(bar), .. }) = phase.take() {
                 bar.finish_and_clear();
+            }
+        });
+    }
+
+    /// Beside the bar; a log has a line for it where it has one for the progress.
+    fn state(&self, text: &str) {
+        self.with_phase(|phase| {
+            let Some(phase) = phase else { return };
+            match &phase.bar {
+                Some(bar) => bar.set_message(text.to_owned()),
+                None => phase.state = format!(": {text}"),
             }
         });
     }

@@ -18,7 +18,8 @@ pub(crate) fn run(
     config: &Config,
     console: &Console,
 ) -> Result<Report, Failure> {
-    let agent = args.policy.as_deref().map(|policy| load(policy, args, config)).transpose()?;
+    let agent =
+        args.policy.as_deref().map(|policy| load(policy, args, config, console)).transpose()?;
     let agent = agent.as_ref().map(|(agent, sha256)| (&**agent, &**sha256));
     let mut config = config.clone();
     let methods = &mut config.evaluate.methods;
@@ -73,18 +74,30 @@ pub(crate) fn run(
 type Loaded = (Box<dyn MakePolicy>, String);
 
 #[cfg(feature = "torch")]
-fn load(policy: &Path, args: &EvaluateArgs, config: &Config) -> Result<Loaded, Failure> {
+fn load(
+    policy: &Path,
+    args: &EvaluateArgs,
+    config: &Config,
+    console: &Console,
+) -> Result<Loaded, Failure> {
     use holescout::{dataset::Dataset, rl::agent::Agent, store::sha256_file};
     let device = args.device.choice().device()?;
     let dataset = Dataset::open_with(&args.dataset, &config.remote)?;
-    let cells = dataset.manifest().cells as usize;
+    let (cells, cell_m) = (dataset.manifest().cells as usize, dataset.manifest().cell_m);
     let agent = Agent::load(policy, cells, &config.rl, device)?;
+    if let Some((side, side_m)) = agent.trained_on().filter(|known| *known != (cells, cell_m)) {
+        console.note(&format!(
+            "note: {} was trained on maps of {side} × {side} cells of {side_m} m, and flies over \
+             {cells} × {cells} cells of {cell_m} m",
+            policy.display()
+        ));
+    }
     let weights = policy.join("weights.safetensors");
     Ok((Box::new(agent), sha256_file(&weights)?.sha256))
 }
 
 #[cfg(not(feature = "torch"))]
-fn load(policy: &Path, _: &EvaluateArgs, _: &Config) -> Result<Loaded, Failure> {
+fn load(policy: &Path, _: &EvaluateArgs, _: &Config, _: &Console) -> Result<Loaded, Failure> {
     let policy = policy.display();
     Err(Failure::input(format!(
         "{policy}: this program was built without libtorch and knows no trained policies: \

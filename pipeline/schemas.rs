@@ -7,8 +7,8 @@ use holescout::dataset::record_schemas;
 use holescout::error::FileError;
 use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
-    DatasetManifest, EvaluationManifest, PolicyManifest, RsrpManifest, RsrpMeta, SceneMeta,
-    ScenesManifest, TileMeta, TilesManifest, json_schema,
+    DatasetManifest, EvaluationManifest, PolicyManifest, RsrpManifest, RsrpMeta, RunManifest,
+    SceneMeta, ScenesManifest, TileMeta, TilesManifest, json_schema,
 };
 use holescout::radio_map::RadioMapMetadata;
 use holescout::store::write_atomic;
@@ -75,6 +75,7 @@ fn all() -> Vec<(String, Vec<u8>)> {
         schema::<EvaluationManifest>(EvaluationManifest::SCHEMA),
         schema::<EvaluationReport>(EvaluationReport::SCHEMA),
         schema::<PolicyManifest>(PolicyManifest::SCHEMA),
+        schema::<RunManifest>(RunManifest::SCHEMA),
     ];
     schemas.extend(records);
     schemas

@@ -18,8 +18,9 @@
 //! 7. [`dataset`]: records, splits, shards; verifying and drawing them
 //! 8. [`rl`]: the task on a record, policies, the exact optimum
 //! 9. [`evaluate`]: precision and recall of policies, with intervals, and the report
-//! 10. [`release`]: datasets that are published, and what changes from one to the next
-//! 11. [`rebuild`]: an output once more from its recorded inputs
+//! 10. `train` (feature `torch`): runs that learn an agent
+//! 11. [`release`]: datasets that are published, and what changes from one to the next
+//! 12. [`rebuild`]: an output once more from its recorded inputs
 
 pub mod building;
 pub mod config;
@@ -40,4 +41,6 @@ pub mod reliability;
 pub mod rl;
 pub mod scene;
 pub mod store;
+#[cfg(feature = "torch")]
+pub mod train;
 pub mod units;

@@ -8,6 +8,8 @@ pub trait Progress: Sync {
     fn advance(&self, steps: u64);
     /// The current phase is over.
     fn end(&self);
+    /// How the current phase goes, in a few words that replace the ones before.
+    fn state(&self, _text: &str) {}
     /// Something that a person should read, for instance a warning.
     fn note(&self, text: &str);
 }

@@ -12,7 +12,7 @@
 use std::path::{Path, PathBuf};
 
 /// Modules of the library, lowest first; each imports only from lower lines.
-const LEVELS: [&[&str]; 12] = [
+const LEVELS: [&[&str]; 13] = [
     &["units", "error", "progress", "random", "config"],
     &["crs", "reliability"],
     &["grid"],
@@ -23,6 +23,7 @@ const LEVELS: [&[&str]; 12] = [
     &["dataset"],
     &["rl"],
     &["evaluate"],
+    &["train"],
     &["release"],
     &["rebuild"],
 ];
@@ -35,12 +36,13 @@ const WITHIN_LEVEL: [(&str, &str); 5] = [
     ("scene", "rasterise"),
 ];
 /// Crates that are named below one path only.
-const ONLY_BELOW: [(&str, &str); 6] = [
+const ONLY_BELOW: [(&str, &str); 7] = [
     ("osmpbfreader", "src/osm"),
     ("protobuf", "src/osm"),
     ("clap", "pipeline"),
     ("indicatif", "pipeline"),
     ("tch", "src/rl/agent"),
+    ("safetensors", "src/rl/agent"),
     ("forust_ml", "src/evaluate/fitted"),
 ];
 /// Macros and functions that only the command may use.

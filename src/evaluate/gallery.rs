@@ -57,7 +57,7 @@ pub(super) fn choose(maps: &[MapResult], size: u32) -> Vec<usize> {
     (0..size).map(|at| order[spread(at)]).collect()
 }
 
-/// Flies over a map once more, with the same flights, and keeps the first ones.
+/// Flies the first flights over a map once more.
 pub(super) fn show(
     scene: &Scene,
     split: Split,
@@ -66,10 +66,11 @@ pub(super) fn show(
 ) -> GalleryMap {
     let config = flying.config;
     let truth = &scene.truth;
+    let shown = config.evaluate.gallery_starts as usize;
     let methods = config.evaluate.methods.iter();
     let tracks: Vec<(Method, Vec<Track>)> =
-        methods.map(|&method| (method, scene.tracks(method, flying))).collect();
-    let starts = (0..config.evaluate.gallery_starts as usize)
+        methods.map(|&method| (method, scene.tracks(method, flying, shown))).collect();
+    let starts = (0..shown)
         .map(|start| {
             let with_start =
                 tracks.iter().filter_map(|(method, of)| Some((*method, of.get(start)?)));

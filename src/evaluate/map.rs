@@ -53,11 +53,17 @@ impl Scene {
         self.hops.get_or_init(|| Hops::new(&self.truth, sight))
     }
 
-    /// All flights of a method.
-    pub(super) fn tracks(&self, method: Method, flying: Flying<'_>) -> Vec<Track> {
+    /// The first flights of a method, `most_starts` at most.
+    pub(super) fn tracks(
+        &self,
+        method: Method,
+        flying: Flying<'_>,
+        most_starts: usize,
+    ) -> Vec<Track> {
         let Flying { sight, config, .. } = flying;
         let place = self.place(method, sight);
-        let starts = methods::starts(method, place, &config.evaluate);
+        let mut starts = methods::starts(method, place, &config.evaluate);
+        starts.truncate(most_starts);
         let key = methods::key(method, place, &config.evaluate);
         let most = methods::steps(method, &config.evaluate).last().copied().unwrap_or(0);
         let hops = || self.hops(sight);
@@ -68,7 +74,7 @@ impl Scene {
     /// What a method comes to.
     pub(super) fn judged(&self, method: Method, flying: Flying<'_>) -> MethodOnMap {
         let config = &flying.config.evaluate;
-        let tracks = self.tracks(method, flying);
+        let tracks = self.tracks(method, flying, config.starts as usize);
         let truth = Truth { world: &self.truth, labels: self.labels.as_ref() };
         judge(truth, &tracks, methods::steps(method, config), config)
     }

@@ -10,6 +10,7 @@ mod evaluation;
 mod files;
 mod policy;
 mod rsrp;
+mod run;
 mod scenes;
 mod tiles;
 
@@ -32,6 +33,7 @@ pub use rsrp::{
     MaskCounts, OrientationScore, Radio, RsrpManifest, RsrpMeta, Solver, SolverCount, SourceMap,
     ValueKind, WarningCode,
 };
+pub use run::RunManifest;
 pub use scenes::{
     LeftOutSolids, SceneEntry, SceneFile, SceneMaterials, SceneMeta, SceneStation, ScenesConfig,
     ScenesManifest, SitesInput,

@@ -10,6 +10,7 @@ mod npz;
 mod output;
 #[cfg(feature = "remote")]
 mod remote;
+mod sealed;
 mod seekable;
 
 pub use atomic::{write_atomic, write_atomic_with};
@@ -19,9 +20,10 @@ pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
 pub use output::{
-    BuildMode, Gap, MANIFEST, OutputDir, OutputError, Part, SUMS, Task, TaskReport, parse_sums,
-    stays_inside,
+    BuildMode, Gap, MANIFEST, OutputDir, OutputError, Part, SUMS, Task, TaskReport, demand_outside,
+    lock, parse_sums, stays_inside,
 };
 #[cfg(feature = "remote")]
 pub use remote::{Remote, RemoteError};
+pub use sealed::{SealError, read_sealed, remove_sealed, remove_unsealed, write_sealed};
 pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};

@@ -16,6 +16,8 @@ pub(crate) mod importing;
 pub(crate) mod maps;
 pub(crate) mod numpy;
 pub(crate) mod repeats;
+#[cfg(feature = "torch")]
+pub(crate) mod training;
 
 /// Files of a directory tree by relative path.
 pub(crate) type Tree = BTreeMap<String, Vec<u8>>;

@@ -1,29 +1,31 @@
 //! Checkpoints: everything that training goes on from, whole or absent.
 //!
 //! A checkpoint is a directory, written under a temporary name and renamed: `weights.safetensors` (the
-//! policy, all that a user of it needs), `learning.safetensors` (target network, moments of Adam) and
-//! `state.msgpack` (configuration, dataset, counters, maps, episodes, replay).
+//! policy, all that a user of it needs), `learning.safetensors` (target network, moments of Adam),
+//! `state.msgpack` (configuration, dataset, counters, maps, episodes, replay) and `SHA256SUMS`, which
+//! vouches for them.
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
-use tch::{Device, Tensor};
-use tempfile::TempDir;
+use serde_json::{Value, json};
+use tch::Device;
 
 use super::adam::Adam;
 use super::network::{QNetwork, ShapeError};
 use super::report::TotalsState;
-use super::trainer::TrainJob;
+use super::tensors::{Tensors, named, pack};
+use super::trainer::TrainerSetup;
 use crate::config::{RlConfig, TrainConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{ManifestError, PolicyManifest, load};
 use crate::rl::{EpisodeState, PoolState, Recent, World};
-use crate::store::{MANIFEST, sha256_file, write_atomic};
+use crate::store::{
+    MANIFEST, OutputError, SUMS, SealError, read_sealed, sha256_bytes, write_sealed,
+};
 
-/// What names of directories begin with that are not whole yet.
-pub(super) const TEMPORARY: &str = ".holescout-checkpoint-";
-const SCHEMA: &str = "checkpoint.v3";
+const SCHEMA: &str = "checkpoint.v4";
 pub(super) const WEIGHTS: &str = "weights.safetensors";
 const LEARNING: &str = "learning.safetensors";
 const STATE: &str = "state.msgpack";
@@ -38,6 +40,23 @@ pub enum CheckpointError {
     /// Reading or writing failed.
     #[error(transparent)]
     File(#[from] FileError),
+    /// A file is not the one that was written.
+    #[error(transparent)]
+    Seal(#[from] SealError),
+    /// The directory cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// Another version wrote it.
+    #[error(
+        "{}: the checkpoint is of schema {found:?}, expected {SCHEMA:?}: train into another \
+         directory, or use the version of holescout that wrote it", path.display()
+    )]
+    OtherVersion {
+        /// The file.
+        path: PathBuf,
+        /// Its schema.
+        found: String,
+    },
     /// A file is not what it should be.
     #[error("{}: {reason}", path.display())]
     Format {
@@ -57,12 +76,12 @@ pub enum CheckpointError {
         /// What differs: key, expected, found.
         differences: Vec<String>,
     },
-    /// It was trained on states that are encoded otherwise.
+    /// It was trained on states that are made otherwise.
     #[error(
         "{}: the policy sees states otherwise: {}; evaluate it with its own settings",
         path.display(), differences.join("; ")
     )]
-    OtherEncoding {
+    OtherStates {
         /// The checkpoint.
         path: PathBuf,
         /// What differs: key, expected, found.
@@ -80,26 +99,50 @@ impl HasFault for CheckpointError {
     fn fault(&self) -> Fault {
         match self {
             Self::File(error) => error.fault(),
+            Self::Seal(error) => error.fault(),
+            Self::Output(error) => error.fault(),
             Self::Manifest(error) => error.fault(),
             Self::Shape(error) => error.fault(),
-            Self::Format { .. } | Self::OtherRun { .. } | Self::OtherEncoding { .. } => {
-                Fault::Input
-            }
+            Self::OtherVersion { .. }
+            | Self::Format { .. }
+            | Self::OtherRun { .. }
+            | Self::OtherStates { .. } => Fault::Input,
+        }
+    }
+}
+
+impl CheckpointError {
+    /// Whether the checkpoint itself is to blame, so that an earlier one may still do.
+    #[must_use]
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::Seal(_) | Self::Format { .. } => true,
+            Self::File(error) => error.fault() == Fault::Input,
+            _ => false,
         }
     }
 }
 
 /// How far training is.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Counters {
     /// Updates done.
     pub updates: u64,
     /// Steps of all episodes done.
     pub steps: u64,
-    /// Best score on the validation split so far, and the update that had it.
+}
+
+/// What the validation split has told so far. It does not change what is learned.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Validation {
+    /// Update after which the policy was judged last; 0 for never.
+    pub judged: u64,
+    /// Best score so far, and the update that had it.
     pub best: Option<(f64, u64)>,
+    /// The scores behind it, of each map.
+    pub best_scores: Vec<f64>,
     /// Judgements since then.
-    pub judged_since_best: u32,
+    pub since_best: u32,
 }
 
 /// What was lived through: maps, episodes under way, transitions.
@@ -130,26 +173,52 @@ pub struct Checkpoint {
     pub cell_m: f64,
     /// How far.
     pub counters: Counters,
-    /// Scores of the best policy so far, for each map of the validation split.
-    pub(super) best_scores: Vec<f64>,
+    /// How good.
+    pub validation: Validation,
     pub(super) totals: TotalsState,
     pub(super) memory: Memory,
     adam_updates: i32,
+    /// `rl` and `train` as they stand there: what is absent was not set, whatever is the default now.
+    #[serde(skip)]
+    stored: [Value; 2],
 }
 
-/// What all versions of a checkpoint begin with.
+/// What all versions of a checkpoint hold.
 #[derive(Deserialize)]
-struct Version {
+struct Stored {
     schema: String,
+    rl: Value,
+    train: Value,
 }
 
-fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
+/// Settings that may change from one session of a run to the next: they do not change what is learned.
+const ONLY_WATCHED: [&str; 5] =
+    ["checkpoint_every", "evaluate_every", "evaluate_maps", "evaluate_starts", "patience"];
+
+/// Which settings of a section differ, those that only one side has included.
+fn differences(section: &str, expected: &Value, found: &Value) -> Vec<String> {
+    let object = |value: &Value| value.as_object().cloned().unwrap_or_default();
+    let (expected, found) = (object(expected), object(found));
+    let keys: std::collections::BTreeSet<&String> = expected.keys().chain(found.keys()).collect();
+    let told = |value: Option<&Value>| value.map_or_else(|| "absent".to_owned(), Value::to_string);
+    keys.into_iter()
+        .filter(|key| {
+            !ONLY_WATCHED.contains(&key.as_str()) && expected.get(*key) != found.get(*key)
+        })
+        .map(|key| {
+            let [here, there] = [expected.get(key), found.get(key)].map(told);
+            format!("{section}.{key} is {here} here, {there} there")
+        })
+        .collect()
+}
+
+pub(super) fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
     CheckpointError::Format { path: path.to_owned(), reason: reason.to_string() }
 }
 
 impl Checkpoint {
     pub(super) fn new(
-        job: &TrainJob<'_>,
+        setup: &TrainerSetup<'_>,
         map: &World,
         counters: Counters,
         totals: TotalsState,
@@ -157,16 +226,17 @@ impl Checkpoint {
     ) -> Self {
         Self {
             schema: SCHEMA.to_owned(),
-            rl: job.rl.clone(),
-            train: job.train.clone(),
-            dataset_sha256: job.dataset_sha256.to_owned(),
+            rl: setup.rl.clone(),
+            train: setup.train.clone(),
+            dataset_sha256: setup.dataset_sha256.to_owned(),
             cells: map.cells() as u32,
             cell_m: map.cell_m(),
             counters,
-            best_scores: Vec::new(),
+            validation: Validation::default(),
             totals,
             memory,
             adam_updates: 0,
+            stored: [Value::Null, Value::Null],
         }
     }
 
@@ -177,35 +247,16 @@ impl Checkpoint {
         [policy, target]: [&QNetwork; 2],
         adam: &Adam,
     ) -> Result<(), CheckpointError> {
-        let parent = directory.parent().unwrap_or(Path::new("."));
-        std::fs::create_dir_all(parent).map_err(FileError::new("create", parent))?;
-        let temporary = tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(parent);
-        let temporary = temporary.map_err(FileError::new("create", parent))?;
         let ([first, second], updates) = adam.state();
         self.adam_updates = updates;
-        let save = |name: &str, tensors: Vec<(String, Tensor)>| {
-            let path = temporary.path().join(name);
-            write_tensors(&path, &tensors)?;
-            let file = std::fs::File::open(&path).map_err(FileError::new("open", &path))?;
-            file.sync_all().map_err(FileError::new("sync", &path))?;
-            Ok::<_, CheckpointError>(())
-        };
-        let named = |prefix: &str, network: &QNetwork| -> Vec<(String, Tensor)> {
-            network.named().map(|(name, one)| (format!("{prefix}{name}"), one)).collect()
-        };
-        save(WEIGHTS, named("", policy))?;
-        let mut learning = named("target.", target);
+        let mut learning = named(target, "target.");
         for (name, moment) in [(FIRST, first), (SECOND, second)] {
             learning.push((name.to_owned(), moment.shallow_clone()));
         }
-        save(LEARNING, learning)?;
         let state = rmp_serde::to_vec_named(&self).expect("writing to memory cannot fail");
-        write_atomic(&temporary.path().join(STATE), &state)?;
-        // The old one goes in one step too, and is removed when the new one is in its place.
-        let _old = remove_whole(directory)?;
-        let temporary = temporary.keep();
-        std::fs::rename(&temporary, directory).map_err(FileError::new("rename", directory))?;
-        Ok(())
+        let [weights, learning] = [named(policy, ""), learning].map(|tensors| pack(&tensors));
+        let files = [(WEIGHTS, &*weights), (LEARNING, &*learning), (STATE, &*state)];
+        Ok(write_sealed(directory, &files)?)
     }
 
     /// Reads what is beside the tensors.
@@ -214,53 +265,41 @@ impl Checkpoint {
     /// [`CheckpointError`].
     pub fn read(directory: &Path) -> Result<Self, CheckpointError> {
         let path = directory.join(STATE);
-        let bytes = std::fs::read(&path).map_err(FileError::new("read", &path))?;
+        let bytes = match read_sealed(directory, STATE) {
+            // Older versions have no list of checksums.
+            Err(SealError::List { .. }) if !directory.join(SUMS).exists() => {
+                std::fs::read(&path).map_err(FileError::new("read", &path))?
+            }
+            other => other?,
+        };
         // What other versions keep is not what this one expects, so the version comes first.
-        let Version { schema } =
+        let Stored { schema, rl, train } =
             rmp_serde::from_slice(&bytes).map_err(|error| invalid(&path, &error))?;
         if schema != SCHEMA {
-            let reason = format!(
-                "the checkpoint is of schema {schema:?}, expected {SCHEMA:?}: train into another \
-                 directory, or use the version of holescout that wrote it"
-            );
-            return Err(invalid(&path, &reason));
+            return Err(CheckpointError::OtherVersion { path, found: schema });
         }
-        rmp_serde::from_slice(&bytes).map_err(|error| invalid(&path, &error))
+        if !directory.join(SUMS).exists() {
+            return Err(SealError::List { path: directory.join(SUMS) }.into());
+        }
+        let read: Self = rmp_serde::from_slice(&bytes).map_err(|error| invalid(&path, &error))?;
+        Ok(Self { stored: [rl, train], ..read })
     }
 
     /// Demands that it was made by this run.
     pub(super) fn demand(
         &self,
         directory: &Path,
-        job: &TrainJob<'_>,
+        setup: &TrainerSetup<'_>,
     ) -> Result<(), CheckpointError> {
-        let mut differences = Vec::new();
-        let mut compare = |key: &str, expected: &serde_json::Value, found: &serde_json::Value| {
-            if expected != found {
-                differences.push(format!("{key} is {expected} here, {found} there"));
-            }
-        };
-        let value = |text: &str| serde_json::Value::from(text);
-        compare("dataset", &value(job.dataset_sha256), &value(&self.dataset_sha256));
-        let sections = [
-            ("rl", serde_json::json!(job.rl), serde_json::json!(self.rl)),
-            ("train", serde_json::json!(job.train), serde_json::json!(self.train)),
-        ];
-        for (section, expected, found) in &sections {
-            for (key, expected) in expected.as_object().into_iter().flatten() {
-                // What is only watched does not change what is learned.
-                if !matches!(
-                    &**key,
-                    "checkpoint_every"
-                        | "evaluate_every"
-                        | "evaluate_maps"
-                        | "evaluate_starts"
-                        | "patience"
-                ) {
-                    compare(&format!("{section}.{key}"), expected, &found[key]);
-                }
-            }
-        }
+        let [rl, train] = &self.stored;
+        let (expected, found) = (setup.dataset_sha256, &self.dataset_sha256);
+        let dataset =
+            (expected != found).then(|| format!("dataset is {expected:?} here, {found:?} there"));
+        let settings = [("rl", json!(setup.rl), rl), ("train", json!(setup.train), train)];
+        let settings = settings
+            .iter()
+            .flat_map(|(section, expected, found)| differences(section, expected, found));
+        let differences: Vec<String> = dataset.into_iter().chain(settings).collect();
         if differences.is_empty() {
             return Ok(());
         }
@@ -274,9 +313,9 @@ impl Checkpoint {
         [policy, target]: [&mut QNetwork; 2],
         adam: &mut Adam,
     ) -> Result<(), CheckpointError> {
-        let weights = Tensors::read(&directory.join(WEIGHTS))?;
-        policy.set(&weights.of(policy, "")?);
-        let learning = Tensors::read(&directory.join(LEARNING))?;
+        let read = |name| Tensors::unpack(&directory.join(name), &read_sealed(directory, name)?);
+        policy.set(&read(WEIGHTS)?.of(policy, "")?);
+        let learning = read(LEARNING)?;
         target.set(&learning.of(target, "target.")?);
         let moment = |name| learning.find(name, policy.learned());
         adam.restore(&[moment(FIRST)?, moment(SECOND)?], self.adam_updates);
@@ -284,93 +323,71 @@ impl Checkpoint {
     }
 }
 
-/// Takes a checkpoint out of the way, whole, if it is there; it is removed when the result is dropped.
-pub(super) fn remove_whole(directory: &Path) -> Result<Option<TempDir>, FileError> {
-    if !directory.exists() {
-        return Ok(None);
-    }
-    let parent = directory.parent().unwrap_or(Path::new("."));
-    let aside = tempfile::Builder::new().prefix(TEMPORARY).tempdir_in(parent);
-    let aside = aside.map_err(FileError::new("create", parent))?;
-    let to = aside.path().join("old");
-    std::fs::rename(directory, to).map_err(FileError::new("rename", directory))?;
-    Ok(Some(aside))
+/// A policy that was trained: that of a checkpoint, or one that was exported.
+pub(super) struct Trained {
+    pub(super) rl: RlConfig,
+    pub(super) train: TrainConfig,
+    /// Cells along a side of the maps that it was trained on, and the side of a cell in metres.
+    pub(super) grid: (usize, f64),
+    /// `weights.safetensors`, which is what its list or manifest tells.
+    pub(super) weights: Vec<u8>,
 }
 
-/// The tensors of a file.
-struct Tensors {
-    path: PathBuf,
-    tensors: Vec<(String, Tensor)>,
-}
-
-impl Tensors {
-    fn read(path: &Path) -> Result<Self, CheckpointError> {
-        std::fs::metadata(path).map_err(FileError::new("read", path))?;
-        let tensors = Tensor::read_safetensors(path).map_err(|error| invalid(path, &error))?;
-        Ok(Self { path: path.to_owned(), tensors })
-    }
-
-    /// The tensor of a name, which has the shape of another.
-    fn find(&self, name: &str, like: &Tensor) -> Result<Tensor, CheckpointError> {
-        let found = self.tensors.iter().find(|(found, _)| found == name);
-        let (_, found) = found.ok_or_else(|| invalid(&self.path, &format!("no {name}")))?;
-        if found.size() == like.size() && found.kind() == like.kind() {
-            return Ok(found.shallow_clone());
+impl Trained {
+    pub(super) fn read(directory: &Path) -> Result<Self, CheckpointError> {
+        if directory.join(STATE).exists() || !directory.join(MANIFEST).exists() {
+            let Checkpoint { rl, train, cells, cell_m, .. } = Checkpoint::read(directory)?;
+            let weights = read_sealed(directory, WEIGHTS)?;
+            return Ok(Self { rl, train, grid: (cells as usize, cell_m), weights });
         }
-        let (found, expected) = (found.size(), like.size());
-        Err(invalid(&self.path, &format!("{name} is {found:?}, expected {expected:?}")))
+        let (manifest, _) =
+            load::<PolicyManifest>(directory, "export-policy", PolicyManifest::SCHEMA)?;
+        let PolicyManifest { rl, train, weights_sha256, cells, cell_m, .. } = manifest;
+        let path = directory.join(WEIGHTS);
+        let weights = std::fs::read(&path).map_err(FileError::new("read", &path))?;
+        if sha256_bytes(&weights).sha256 != weights_sha256 {
+            return Err(invalid(&path, &"it is not the file that the manifest tells of"));
+        }
+        Ok(Self { rl, train, grid: (cells as usize, cell_m), weights })
     }
 
-    /// The tensors of a network's parameters, in their order.
-    fn of(&self, network: &QNetwork, prefix: &str) -> Result<Vec<Tensor>, CheckpointError> {
-        let find = |(name, like): (&str, Tensor)| self.find(&format!("{prefix}{name}"), &like);
-        network.named().map(find).collect()
+    /// The network, for maps of `cells` × `cells` and moves of a reach.
+    pub(super) fn network(
+        &self,
+        directory: &Path,
+        cells: usize,
+        reach: u32,
+        device: Device,
+    ) -> Result<QNetwork, CheckpointError> {
+        let mut network = QNetwork::new(cells, reach, &self.train, device)?;
+        let weights = Tensors::unpack(&directory.join(WEIGHTS), &self.weights)?;
+        network.set(&weights.of(&network, "")?);
+        Ok(network)
+    }
+
+    /// Demands that states are made as the policy has learned to see them.
+    fn demand_states(&self, directory: &Path, expected: &RlConfig) -> Result<(), CheckpointError> {
+        let found = &self.rl;
+        let pairs = [
+            ("encoding_decay", expected.encoding_decay, found.encoding_decay),
+            ("height_scale_m", expected.height_scale_m, found.height_scale_m),
+            ("flight_height_m", expected.flight_height_m, found.flight_height_m),
+            ("hole_threshold_dbm", expected.hole_threshold_dbm.0, found.hole_threshold_dbm.0),
+            ("floor_dbm", expected.floor_dbm.0, found.floor_dbm.0),
+        ];
+        let different = pairs.into_iter().filter(|(_, expected, found)| expected != found);
+        let differences: Vec<String> = different
+            .map(|(key, expected, found)| format!("rl.{key} is {expected} here, {found} there"))
+            .collect();
+        if differences.is_empty() {
+            return Ok(());
+        }
+        Err(CheckpointError::OtherStates { path: directory.to_owned(), differences })
     }
 }
 
-/// Writes tensors, whatever device they are on.
-fn write_tensors(path: &Path, tensors: &[(String, Tensor)]) -> Result<(), CheckpointError> {
-    let tensors: Vec<(&str, Tensor)> =
-        tensors.iter().map(|(name, one)| (&**name, one.to_device(Device::Cpu))).collect();
-    Tensor::write_safetensors(&tensors, path).map_err(|error| invalid(path, &error))
-}
-
-/// The task that a policy was trained for, and how: that of a checkpoint, or one that was exported.
-fn trained(directory: &Path) -> Result<(RlConfig, TrainConfig), CheckpointError> {
-    if directory.join(STATE).exists() || !directory.join(MANIFEST).exists() {
-        let Checkpoint { rl, train, .. } = Checkpoint::read(directory)?;
-        return Ok((rl, train));
-    }
-    let (PolicyManifest { rl, train, weights_sha256, .. }, _) =
-        load::<PolicyManifest>(directory, "export-policy", PolicyManifest::SCHEMA)?;
-    let path = directory.join(WEIGHTS);
-    if sha256_file(&path)?.sha256 != weights_sha256 {
-        return Err(invalid(&path, &"it is not the file that the manifest tells of"));
-    }
-    Ok((rl, train))
-}
-
-/// Demands that states are encoded as a policy has learned to see them.
-fn demand_encoding(
-    directory: &Path,
-    expected: &RlConfig,
-    found: &RlConfig,
-) -> Result<(), CheckpointError> {
-    let pairs = [
-        ("encoding_decay", expected.encoding_decay, found.encoding_decay),
-        ("height_scale_m", expected.height_scale_m, found.height_scale_m),
-    ];
-    let different = pairs.into_iter().filter(|(_, expected, found)| expected != found);
-    let differences: Vec<String> = different
-        .map(|(key, expected, found)| format!("rl.{key} is {expected} here, {found} there"))
-        .collect();
-    if differences.is_empty() {
-        return Ok(());
-    }
-    Err(CheckpointError::OtherEncoding { path: directory.to_owned(), differences })
-}
-
-/// The policy of a checkpoint or an exported one, and how it was trained.
+/// The policy of a checkpoint or an exported one, how it was trained, and on which maps: cells along a side,
+/// and metres along a cell.
 ///
 /// # Errors
 /// [`CheckpointError`] if the checkpoint cannot be read, or does not fit maps of `cells` × `cells` and
@@ -380,23 +397,26 @@ pub fn load_weights(
     cells: usize,
     config: &RlConfig,
     device: Device,
-) -> Result<(TrainConfig, QNetwork), CheckpointError> {
-    let (rl, train) = trained(directory)?;
-    demand_encoding(directory, config, &rl)?;
-    let network = read_network(directory, cells, config.reach_cells, &train, device)?;
-    Ok((train, network))
+) -> Result<(TrainConfig, QNetwork, (usize, f64)), CheckpointError> {
+    let trained = Trained::read(directory)?;
+    trained.demand_states(directory, config)?;
+    let network = trained.network(directory, cells, config.reach_cells, device)?;
+    Ok((trained.train, network, trained.grid))
 }
 
-/// The policy of a directory, trained so.
-pub(super) fn read_network(
-    directory: &Path,
-    cells: usize,
-    reach: u32,
-    train: &TrainConfig,
-    device: Device,
-) -> Result<QNetwork, CheckpointError> {
-    let mut network = QNetwork::new(cells, reach, train, device)?;
-    let weights = Tensors::read(&directory.join(WEIGHTS))?;
-    network.set(&weights.of(&network, "")?);
-    Ok(network)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_that_only_one_side_has_are_differences() {
+        let here = json!({ "seed": 1, "updates": 5, "patience": 1 });
+        let there = json!({ "seed": 2, "older": true, "patience": 2 });
+        let expected = [
+            "train.older is absent here, true there",
+            "train.seed is 1 here, 2 there",
+            "train.updates is 5 here, absent there",
+        ];
+        assert_eq!(differences("train", &here, &there), expected);
+    }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::json;
 
-use super::checkpoint::{Checkpoint, CheckpointError, WEIGHTS, read_network};
+use super::checkpoint::{Checkpoint, CheckpointError, Trained, WEIGHTS};
 use crate::config::{Channel, Encoding, RlConfig, TrainConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{PolicyManifest, Software, fingerprint, to_json};
@@ -54,15 +54,15 @@ pub fn export_policy(
     out: &Path,
     overwrite: bool,
 ) -> Result<PolicyManifest, ExportError> {
-    let Checkpoint { rl, train, dataset_sha256, counters, cells, cell_m, .. } =
+    let Checkpoint { dataset_sha256, counters, validation, cells, cell_m, .. } =
         Checkpoint::read(checkpoint)?;
     // Weights that do not fit are found here, and not by whom they are given to.
+    let trained = Trained::read(checkpoint)?;
     let (side, device) = (cells as usize, tch::Device::Cpu);
-    let network = read_network(checkpoint, side, rl.reach_cells, &train, device)?;
-    let path = checkpoint.join(WEIGHTS);
-    let weights = std::fs::read(&path).map_err(FileError::new("read", &path))?;
+    let network = trained.network(checkpoint, side, trained.rl.reach_cells, device)?;
+    let Trained { rl, train, weights, .. } = trained;
     let weights_sha256 = sha256_bytes(&weights).sha256;
-    let score = counters.best.filter(|&(_, update)| update == counters.updates);
+    let score = validation.best.filter(|&(_, update)| update == counters.updates);
     let manifest = PolicyManifest {
         schema: PolicyManifest::SCHEMA.to_owned(),
         fingerprint: fingerprint(&("policy", &weights_sha256, &dataset_sha256, &rl, &train)),

@@ -12,10 +12,9 @@ use tch::{Device, Tensor};
 
 use super::adam::Adam;
 use super::batch::{Batcher, flags};
-use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory};
+use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory, Validation};
 use super::ddqn::loss;
 use super::device::upload;
-use super::judgement::{Mean, is_better};
 use super::network::{QNetwork, ShapeError};
 use super::report::{Totals, TotalsState, TrainReport};
 use crate::config::{RlConfig, TrainConfig};
@@ -31,7 +30,7 @@ const SAMPLING: u64 = 22;
 /// Why training cannot begin or go on.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum TrainError {
+pub enum TrainerError {
     /// There is nothing to learn from.
     #[error(transparent)]
     NothingToLearn(#[from] NothingToLearn),
@@ -54,10 +53,10 @@ pub enum TrainError {
     /// A checkpoint cannot be written or used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The loss is no number any more.
+    /// The loss is no longer finite.
     #[error(
-        "the loss or its gradient is no finite number any more, shortly before update {update}: the \
-         last checkpoint is from before; lower train.learning_rate or train.clip_norm"
+        "the loss or its gradient is no longer finite, shortly before update {update}: train into \
+         another directory (--run) with a lower train.learning_rate or train.clip_norm"
     )]
     Diverged {
         /// Updates done.
@@ -65,7 +64,7 @@ pub enum TrainError {
     },
 }
 
-impl HasFault for TrainError {
+impl HasFault for TrainerError {
     fn fault(&self) -> Fault {
         match self {
             Self::NothingToLearn(error) => error.fault(),
@@ -80,7 +79,7 @@ impl HasFault for TrainError {
 
 /// What to train on and how.
 #[derive(Debug, Clone, Copy)]
-pub struct TrainJob<'a> {
+pub struct TrainerSetup<'a> {
     /// SHA-256 of the dataset's manifest.
     pub dataset_sha256: &'a str,
     /// The task.
@@ -94,7 +93,7 @@ pub struct TrainJob<'a> {
 /// Training under way.
 #[derive(Debug)]
 pub struct Trainer<'a> {
-    job: TrainJob<'a>,
+    setup: TrainerSetup<'a>,
     pool: MapPool,
     environment: Environment,
     /// Steps that no transition begins with yet, and the return so far, of each episode.
@@ -107,8 +106,6 @@ pub struct Trainer<'a> {
     target: QNetwork,
     adam: Adam,
     counters: Counters,
-    /// Scores of the best policy so far, for each map of the validation split.
-    best_scores: Vec<f64>,
     totals: Totals,
 }
 
@@ -117,20 +114,20 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// If there is nothing to learn, or the network does not fit the maps.
-    pub fn new(job: TrainJob<'a>, pool: MapPool) -> Result<Self, TrainError> {
-        let TrainJob { rl, train, device, .. } = job;
+    pub fn new(setup: TrainerSetup<'a>, pool: MapPool) -> Result<Self, TrainerError> {
+        let TrainerSetup { rl, train, device, .. } = setup;
         let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
         let episodes = train.episodes as usize;
         let environment = Environment::new(&maps, episodes, rl.max_steps, train.seed)?;
         let cells = maps[0].cells();
         if cells > Replay::MAX_CELLS {
-            return Err(TrainError::TooLarge { cells });
+            return Err(TrainerError::TooLarge { cells });
         }
         let network = || QNetwork::new(cells, rl.reach_cells, train, device);
         let (policy, target) = (network()?, network()?);
         let capacity = train.replay as usize;
         Ok(Self {
-            job,
+            setup,
             environment,
             recent: vec![Recent::default(); episodes],
             returns: vec![0.0; episodes],
@@ -142,23 +139,22 @@ impl<'a> Trainer<'a> {
             policy,
             target,
             counters: Counters::default(),
-            best_scores: Vec::new(),
             totals: Totals::new(&TotalsState::default(), train, device),
             pool,
         })
     }
 
-    /// From a checkpoint of the same run.
+    /// From a checkpoint of the same run, with what the validation split had told by then.
     ///
     /// # Errors
     /// As [`Trainer::new`], and if the checkpoint is damaged or of another run.
     pub fn resume(
-        job: TrainJob<'a>,
+        setup: TrainerSetup<'a>,
         maps: MapSource,
         directory: &Path,
-    ) -> Result<Self, TrainError> {
+    ) -> Result<(Self, Validation), TrainerError> {
         let checkpoint = Checkpoint::read(directory)?;
-        checkpoint.demand(directory, &job)?;
+        checkpoint.demand(directory, &setup)?;
         let damaged = |what: &str| CheckpointError::Format {
             path: directory.to_owned(),
             reason: format!("its {what} do not fit this run"),
@@ -166,7 +162,7 @@ impl<'a> Trainer<'a> {
         let Memory { pool, episodes, recent, returns, replay_added, replay, priorities } =
             &checkpoint.memory;
         let pool = maps.restore(pool)?.ok_or_else(|| damaged("maps"))?;
-        let mut trainer = Self::new(job, pool)?;
+        let mut trainer = Self::new(setup, pool)?;
         let networks = [&mut trainer.policy, &mut trainer.target];
         checkpoint.restore_tensors(directory, networks, &mut trainer.adam)?;
         let slots = trainer.environment.len();
@@ -183,19 +179,18 @@ impl<'a> Trainer<'a> {
         }
         (trainer.recent, trainer.returns) = (recent.clone(), returns.clone());
         trainer.counters = checkpoint.counters;
-        trainer.best_scores.clone_from(&checkpoint.best_scores);
-        trainer.totals = Totals::new(&checkpoint.totals, job.train, job.device);
-        Ok(trainer)
+        trainer.totals = Totals::new(&checkpoint.totals, setup.train, setup.device);
+        Ok((trainer, checkpoint.validation))
     }
 
-    /// Writes a checkpoint.
+    /// Writes a checkpoint, with what the validation split has told.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] if there is nothing worth to be kept, or [`CheckpointError`];
+    /// [`TrainerError::Diverged`] if what was learned is not worth keeping, or [`CheckpointError`];
     /// nothing is left under the final name then.
-    pub fn save(&self, directory: &Path) -> Result<(), TrainError> {
+    pub fn save(&self, directory: &Path, validation: &Validation) -> Result<(), TrainerError> {
         let update = self.counters.updates;
-        let totals = self.totals.state().ok_or(TrainError::Diverged { update })?;
+        let totals = self.totals.state().ok_or(TrainerError::Diverged { update })?;
         let (replay_added, replay) = self.replay.state();
         let priorities =
             self.priorities.as_ref().map(|priorities| priorities.state(self.replay.len()));
@@ -209,8 +204,8 @@ impl<'a> Trainer<'a> {
             priorities: priorities.unwrap_or_default().into(),
         };
         let mut checkpoint =
-            Checkpoint::new(&self.job, &self.pool.maps()[0].1, self.counters, totals, memory);
-        checkpoint.best_scores.clone_from(&self.best_scores);
+            Checkpoint::new(&self.setup, &self.pool.maps()[0].1, self.counters, totals, memory);
+        checkpoint.validation.clone_from(validation);
         checkpoint.write(directory, [&self.policy, &self.target], &self.adam)?;
         Ok(())
     }
@@ -233,49 +228,20 @@ impl<'a> Trainer<'a> {
         self.counters.updates
     }
 
-    /// Best score on the validation split so far, and the update that had it.
-    #[must_use]
-    pub fn best(&self) -> Option<(f64, u64)> {
-        self.counters.best
-    }
-
-    /// Notes the scores of a judgement, one for each map; returns whether they are the best so far: better
-    /// than the best by more than the standard error of the difference.
-    pub(super) fn judged(&mut self, scores: Vec<f64>) -> bool {
-        let score = Mean::of(&scores).mean;
-        let is_best = self.counters.best.is_none() || is_better(&scores, &self.best_scores);
-        if is_best {
-            self.counters.best = Some((score, self.counters.updates));
-            self.best_scores = scores;
-            self.counters.judged_since_best = 0;
-        } else {
-            self.counters.judged_since_best += 1;
-        }
-        is_best
-    }
-
-    /// Whether nothing is left to be done: all updates are made, or scores no longer rise.
-    #[must_use]
-    pub fn is_done(&self) -> bool {
-        let TrainConfig { updates, patience, .. } = *self.job.train;
-        let has_patience = patience == 0 || self.counters.judged_since_best < patience;
-        self.counters.updates >= updates || !has_patience
-    }
-
     /// How it went since the last report.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] if the loss is no number any more.
-    pub fn report(&mut self) -> Result<TrainReport, TrainError> {
+    /// [`TrainerError::Diverged`] if the loss is no longer finite.
+    pub fn report(&mut self) -> Result<TrainReport, TrainerError> {
         let (epsilon, Counters { updates, steps, .. }) = (self.epsilon(), self.counters);
         let report = self.totals.take([updates, steps], epsilon);
-        report.ok_or(TrainError::Diverged { update: updates })
+        report.ok_or(TrainerError::Diverged { update: updates })
     }
 
     /// Share of random actions now: all while the replay warms up, then falling along a line.
     #[must_use]
     pub fn epsilon(&self) -> f64 {
-        let train = self.job.train;
+        let train = self.setup.train;
         if self.replay.len() < train.warmup as usize {
             return 1.0;
         }
@@ -286,7 +252,7 @@ impl<'a> Trainer<'a> {
 
     /// The learning rate now.
     fn learning_rate(&self) -> f64 {
-        let train = self.job.train;
+        let train = self.setup.train;
         let done = self.counters.updates as f64 / train.updates as f64;
         let left = if train.anneal_learning_rate { (1.0 - done).max(0.0) } else { 1.0 };
         train.learning_rate * left
@@ -296,8 +262,8 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// If a map cannot be read.
-    pub fn update(&mut self) -> Result<(), TrainError> {
-        let train = self.job.train;
+    pub fn update(&mut self) -> Result<(), TrainerError> {
+        let train = self.setup.train;
         while self.replay.len() < train.warmup as usize {
             self.act()?;
         }
@@ -325,7 +291,7 @@ impl<'a> Trainer<'a> {
     /// # Panics
     /// If there are none yet.
     pub fn learn(&mut self) {
-        let train = self.job.train;
+        let train = self.setup.train;
         let mut random = Random::keyed(&[train.seed, SAMPLING, self.counters.updates]);
         let positions: Vec<usize> = (0..train.batch).map(|_| self.draw(&mut random)).collect();
         let transitions: Vec<Transition> =
@@ -367,7 +333,7 @@ impl<'a> Trainer<'a> {
     /// greatest of them 1, `[batch]`.
     fn importance(&self, positions: &[usize]) -> Option<Tensor> {
         let priorities = self.priorities.as_ref()?;
-        let TrainConfig { updates, priority_correction: first, .. } = *self.job.train;
+        let TrainConfig { updates, priority_correction: first, .. } = *self.setup.train;
         let done = (self.counters.updates as f64 / updates as f64).min(1.0);
         let exponent = -(first + (1.0 - first) * done);
         let count = self.replay.len() as f64;
@@ -375,7 +341,7 @@ impl<'a> Trainer<'a> {
         let weights: Vec<f64> = positions.iter().map(weight).collect();
         let greatest = weights.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         let weights: Vec<f32> = weights.iter().map(|weight| (weight / greatest) as f32).collect();
-        Some(upload(&weights, self.job.device))
+        Some(upload(&weights, self.setup.device))
     }
 
     /// One step of all episodes, ε-greedy, into the replay.
@@ -383,7 +349,7 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// If a map cannot be read.
     pub fn act(&mut self) -> Result<(), PoolError> {
-        let train = self.job.train;
+        let train = self.setup.train;
         let steps = self.counters.steps;
         let is_due = steps > 0 && steps.is_multiple_of(train.refresh_every.into());
         // A map that goes takes its transitions along: as long as there are too few, all stay.
@@ -433,7 +399,7 @@ impl<'a> Trainer<'a> {
     /// The actions that an episode may choose among.
     fn allowed(&self, slot: usize) -> Cow<'_, ActionSet> {
         let permissible = self.environment.permissible(slot);
-        if self.job.train.avoid_visited {
+        if self.setup.train.avoid_visited {
             let (_, visited) = self.environment.state(slot);
             Cow::Owned(permissible.unvisited(self.environment.actions(), visited))
         } else {
@@ -475,7 +441,7 @@ impl<'a> Trainer<'a> {
         let sets: Vec<_> = wanted.iter().map(|&slot| self.allowed(slot)).collect();
         let sets = sets.iter().map(AsRef::as_ref);
         let count = self.environment.actions().count();
-        let allowed = self.job.train.mask_actions.then(|| flags(sets, count, self.job.device));
+        let allowed = self.setup.train.mask_actions.then(|| flags(sets, count, self.setup.device));
         let best = self.policy.best_actions(&self.policy.inputs(&map, &window), allowed.as_ref());
         let best = Vec::<i64>::try_from(&best).expect("an action for each");
         for (slot, action) in wanted.into_iter().zip(best) {

@@ -34,6 +34,17 @@ pub enum OutputError {
         /// What is in it, for example.
         example: String,
     },
+    /// The directory lies in a finished output.
+    #[error(
+        "{} lies in {}, a finished output, which would be damaged by it: choose a directory elsewhere",
+        path.display(), output.display()
+    )]
+    Inside {
+        /// The directory.
+        path: PathBuf,
+        /// The output that it lies in.
+        output: PathBuf,
+    },
     /// Another process is writing there now.
     #[error("{} is being written by another run of holescout", path.display())]
     Busy {
@@ -71,7 +82,10 @@ impl HasFault for OutputError {
     fn fault(&self) -> Fault {
         match self {
             Self::File(error) => error.fault(),
-            Self::Occupied { .. } | Self::Foreign { .. } | Self::Damaged { .. } => Fault::Input,
+            Self::Occupied { .. }
+            | Self::Foreign { .. }
+            | Self::Inside { .. }
+            | Self::Damaged { .. } => Fault::Input,
             // Waiting may help: for the other run, or for the tasks.
             Self::Busy { .. } | Self::Gaps { .. } => Fault::Running,
         }

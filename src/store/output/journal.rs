@@ -150,11 +150,11 @@ pub(super) fn write_line(journal: &mut File, line: &impl Serialize) -> std::io::
     Ok(sha256)
 }
 
-/// Opens a journal for appending and locks it.
+/// Opens a file for appending, and locks it for as long as it is open: whoever fills the directory `root`.
 ///
 /// # Errors
 /// [`OutputError::Busy`] if another process has locked it.
-pub(super) fn lock(path: &Path, root: &Path, create: bool) -> Result<File, OutputError> {
+pub fn lock(path: &Path, root: &Path, create: bool) -> Result<File, OutputError> {
     let open = File::options().create(create).append(true).open(path);
     let journal = open.map_err(FileError::new("create", path))?;
     match journal.try_lock() {

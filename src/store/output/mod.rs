@@ -36,7 +36,9 @@ use crate::progress::Progress;
 pub use error::{Gap, OutputError};
 pub use part::{BuildMode, Part, Task, TaskReport};
 
-use journal::{Done, Journal, Line, Noted, Plan, lock, write_line};
+pub use journal::lock;
+use journal::{Done, Journal, Line, Noted, Plan, write_line};
+pub use presence::demand_outside;
 pub use removal::stays_inside;
 use removal::{directories, remove_finished, remove_inside, remove_leftovers};
 

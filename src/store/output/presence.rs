@@ -33,6 +33,7 @@ enum Present {
 
 /// Checks that a run may fill a directory.
 pub(super) fn check(root: &Path, expected: &Plan, mode: BuildMode) -> Result<(), OutputError> {
+    demand_outside(root)?;
     let stage = &expected.stage;
     let occupied = |found: String, expected: String, mend| OutputError::Occupied {
         path: root.to_owned(),
@@ -100,6 +101,24 @@ fn present(root: &Path, expected: &Plan, journals: &[Journal]) -> Result<Present
             let ours = |name: &str| journal::is_journal(name) || name.starts_with(TEMPORARY_PREFIX);
             Ok(names.find(|name| !ours(name)).map_or(Present::Nothing, Present::Foreign))
         }
+    }
+}
+
+/// Demands that a directory lies in no finished output: whatever that does not list would damage it.
+///
+/// # Errors
+/// [`OutputError::Inside`].
+pub fn demand_outside(root: &Path) -> Result<(), OutputError> {
+    let path = std::path::absolute(root).map_err(FileError::new("find", root))?;
+    // What is not there yet has no links to be followed.
+    let there = path.ancestors().find_map(|above| above.canonicalize().ok().map(|at| (above, at)));
+    let Some((above, at)) = there else { return Ok(()) };
+    let beginning = if above == path { at.parent() } else { Some(&*at) };
+    match beginning.into_iter().flat_map(Path::ancestors).find(|above| finished(above).is_some()) {
+        Some(output) => {
+            Err(OutputError::Inside { path: root.to_owned(), output: output.to_owned() })
+        }
+        None => Ok(()),
     }
 }
 
