@@ -223,8 +223,8 @@ test-rust: | tools
 .PHONY: test-torch
 test-torch: dataset $(LIBTORCH)/.installed | tools-torch
 	$(TORCH) cargo clippy --locked --features torch,remote --all-targets -- -D warnings
-	$(TORCH) cargo test --locked --features torch,remote --lib rl::agent
-	$(TORCH) cargo test --locked --features torch,remote --test train
+	$(TORCH) cargo test --locked --features torch,remote --lib -- rl::agent train::
+	$(TORCH) cargo test --locked --features torch,remote --test train --test runs
 	$(TORCH) cargo build --locked --features torch,remote --bin holescout --example ddqn_reference
 	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
 	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \

@@ -43,10 +43,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The exploration of a run's second half; all of it would make acting free. The network is the one that
     // the programs it is compared with have: the paper's with a reward head, among permissible actions.
     let train = TrainConfig {
-        epsilon_start: 0.05,
-        warmup: 1024,
+        start_e: 0.05,
+        learning_starts: 1024,
         loss: Loss::Huber,
-        clip_norm: 10.0,
+        max_grad_norm: 10.0,
         squared_reward: 0.0,
         reward_prediction: 1.0,
         dense_terminal: true,
@@ -82,7 +82,7 @@ fn rates(
         }
         // Waits for a graphics card.
         trainer.report()?;
-        Ok(f64::from(updates * train.batch) / begin.elapsed().as_secs_f64())
+        Ok(f64::from(updates * train.batch_size) / begin.elapsed().as_secs_f64())
     };
     let (whole, learning) = (rate(true)?, rate(false)?);
     println!("{{\"full_samples_per_s\": {whole:.1}, \"update_samples_per_s\": {learning:.1}}}");
@@ -166,7 +166,7 @@ fn profile(
     let network = || QNetwork::new(cells, rl.reach_cells, train, device);
     let (mut policy, target) = (network()?, network()?);
     let batcher = Batcher::new(pool.maps().to_vec(), rl, train, device);
-    let transitions = transitions(pool, train.batch);
+    let transitions = transitions(pool, train.batch_size);
     let mut random = Random::keyed(&[1]);
     let batch: Batch = batcher.batch(&transitions, true, &mut random);
     let gradients = |policy: &QNetwork| {
@@ -177,7 +177,7 @@ fn profile(
     let some = gradients(&policy);
     let convolutions = Convolutions::new(
         &policy,
-        train.batch.into(),
+        train.batch_size.into(),
         cells as i64,
         i64::from(2 * rl.reach_cells + 1),
     );
@@ -212,8 +212,8 @@ fn profile(
         })
         .collect();
     shares.sort_by(f64::total_cmp);
-    println!("{:?} on {device:?}, batch {}", policy.computing().kind, train.batch);
-    let samples = f64::from(train.batch);
+    println!("{:?} on {device:?}, batch {}", policy.computing().kind, train.batch_size);
+    let samples = f64::from(train.batch_size);
     for (name, seconds) in [
         ("update with one step of 64 episodes", whole),
         ("  a step of all episodes", acting),

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use holescout::config::{Encoding, Precision, RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
 use holescout::rl::agent::{Batcher, QNetwork, load_weights, loss};
-use holescout::rl::{Environment, MapSource, Random, Recent, load_split};
+use holescout::rl::{Environment, MapSource, NStepBuffer, Random, load_split};
 use tch::{Device, Kind, Tensor};
 
 const BATCH: usize = 16;
@@ -27,7 +27,7 @@ fn network(
     if train.factored {
         // V is 0 at first; a dueling network has the same weights.
         let random = TrainConfig { factored: false, dueling: true, ..train.clone() };
-        network.approach(&new(&random)?, 1.0);
+        network.soft_update(&new(&random)?, 1.0);
     }
     Ok(network)
 }
@@ -46,9 +46,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         // What neither of the presets uses.
         [name] if name == "other" => {
             let other = TrainConfig {
-                return_steps: 3,
+                n_step: 3,
                 dueling: true,
-                priority_exponent: 0.6,
+                priority_alpha: 0.6,
                 factored: false,
                 reward_prediction: 1.0,
                 dense_terminal: true,
@@ -69,7 +69,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
     let mut environment = Environment::new(&maps, BATCH, rl.max_steps, 3)?;
     let mut random = Random::keyed(&[4]);
-    let mut recent = vec![Recent::default(); BATCH];
+    let mut recent = vec![NStepBuffer::default(); BATCH];
     let mut transitions = Vec::new();
     for _ in 0..STEPS {
         let before: Vec<_> = (0..BATCH)
@@ -83,7 +83,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for (slot, ((map, mut path), outcome)) in before.into_iter().zip(outcomes).enumerate() {
             path.push(outcome.next);
             let ends = [outcome.terminal || outcome.truncated, outcome.terminal];
-            let (step, most) = ((actions[slot], outcome.reward), train.return_steps as usize);
+            let (step, most) = ((actions[slot], outcome.reward), train.n_step as usize);
             recent[slot].step((map, &path), step, ends, most, |one| transitions.push(one));
         }
     }
@@ -92,12 +92,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let batcher = Batcher::new(pool.maps().to_vec(), &rl, &train, Device::Cpu);
     let batch = batcher.batch(&transitions, train.augment, &mut random);
     let weights: Vec<f32> = (0..BATCH).map(|_| random.unit() as f32).collect();
-    let weights = (train.priority_exponent > 0.0).then(|| Tensor::from_slice(&weights));
+    let weights = (train.priority_alpha > 0.0).then(|| Tensor::from_slice(&weights));
     let cells = dataset.manifest().cells as usize;
     let network = |seed| network(cells, &rl, &TrainConfig { seed, ..train.clone() });
     let (mut policy, target) = (network(1)?, network(2)?);
     if let Some(loaded) = loaded {
-        policy.approach(&loaded, 1.0);
+        policy.soft_update(&loaded, 1.0);
     }
     let parts = loss(&policy, &target, &batch, weights.as_ref(), &train);
     let gradients = Tensor::run_backward(&[&parts.total], policy.leaves(), false, false);

@@ -23,7 +23,7 @@ pub(crate) fn merged(common: &Common, command: &Command) -> Result<Config, Failu
 
 fn read(path: &Path) -> Result<Config, Failure> {
     let text = std::fs::read_to_string(path).map_err(FileError::new("read", path))?;
-    toml::from_str(&text).map_err(|error| Failure::input(format!("{}: {error}", path.display())))
+    Config::parse(&text).map_err(|error| Failure::input(format!("{}: {error}", path.display())))
 }
 
 pub(crate) fn run(config: &Config) -> Result<Report, Failure> {

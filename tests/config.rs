@@ -109,7 +109,7 @@ fn the_defaults_are_those_of_the_paper() {
         assert!(config.evaluate.methods.contains(&method), "{method}");
     }
     let paper = TrainConfig::paper();
-    assert_eq!((paper.discount, paper.squared_reward, paper.loss), (0.99, 1.0, Loss::Squared));
+    assert_eq!((paper.gamma, paper.squared_reward, paper.loss), (0.99, 1.0, Loss::Squared));
     // Where the paper is silent.
     assert!(config.buildings.parts);
     assert_eq!(config.buildings.level_height_m, 3.0);

@@ -12,7 +12,7 @@ use serde_json::Value;
 use pipeline::training::{SMALL, evaluate, seal, train, train_on, trained};
 use pipeline::{
     HELSINKI, assert_same_files, assert_says, copy_of, helsinki_config, holescout, read, read_json,
-    run, shard, temporary_dir, tree, verify, write,
+    run, temporary_dir, tree, verify, write,
 };
 
 const FILES: [&str; 3] = ["weights.safetensors", "learning.safetensors", "state.msgpack"];
@@ -260,8 +260,7 @@ fn the_advice_after_divergence_works() {
     let dir = temporary_dir();
     let (wild, tame) = (dir.path().join("wild.toml"), dir.path().join("tame.toml"));
     let wide = SMALL.replace("[4, 4, 4, 4, 4, 4, 4]", "[16, 16, 16, 16, 16, 16, 16]");
-    let free =
-        "clip_norm = 0.0\nloss = 'squared'\nhole_prediction = 0.0\nanneal_learning_rate = false";
+    let free = "max_grad_norm = 0.0\nloss = 'squared'\nhole_prediction = 0.0\nanneal_learning_rate = false";
     write(&wild, format!("{wide}{free}\nlearning_rate = 0.99\n"));
     write(&tame, format!("{wide}{free}\nlearning_rate = 1e-4\n"));
     let out = dir.path().join("run");

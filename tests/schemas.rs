@@ -66,7 +66,7 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
             "report.v1",
             [&EVALUATION, &OF_REPEATS].map(|it| read_json(&it.join("report.json"))).to_vec(),
         ),
-        ("policy.v3", vec![policy()]),
+        ("policy.v4", vec![policy()]),
     ])
 }
 
@@ -302,9 +302,9 @@ fn tampered_values_do_not_validate() {
         ("report.v1", "/labels/ceiling/0/k", json!(-1)),
         ("report.v1", "/distances/0/cells", json!("many")),
         ("report.v1", "/schema", json!("report.v2")),
-        ("policy.v3", "/train/loss", json!("cubic")),
-        ("policy.v3", "/cells", json!(-1)),
-        ("policy.v3", "/schema", json!("policy.v1")),
+        ("policy.v4", "/train/loss", json!("cubic")),
+        ("policy.v4", "/cells", json!(-1)),
+        ("policy.v4", "/schema", json!("policy.v1")),
     ];
     let mut unnoticed = vec![];
     for (name, path, value) in tampered {

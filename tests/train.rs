@@ -30,9 +30,9 @@ fn weights(run: &Path) -> String {
 
 /// What neither preset uses, over maps that come and go.
 const ALL: &str = "
-return_steps = 3
-target_share = 0.05
-priority_exponent = 0.6
+n_step = 3
+tau = 0.05
+priority_alpha = 0.6
 dueling = true
 encoding = 'paper'
 factored = false
@@ -174,7 +174,7 @@ fn an_exported_policy_is_what_was_trained() {
     assert_eq!(read(&out.join("weights.safetensors")), read(&best.join("weights.safetensors")));
     let manifest = read_json(&out.join("manifest.json"));
     assert_eq!(manifest["updates"], 12);
-    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/policy.v3.json");
+    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/policy.v4.json");
     let schema = jsonschema::validator_for(&read_json(&schema)).expect("a schema");
     assert!(schema.is_valid(&manifest), "{manifest}");
     assert!(manifest["score"].is_number(), "the best checkpoint was judged");
@@ -302,12 +302,15 @@ fn what_cannot_be_trained_on_is_refused() {
     let paper = "[rl]\nreach_cells = 14\n[train]\nencoding = 'paper'";
     assert_says(&refused(paper), &["31 × 31", "29 × 29", "rl.reach_cells", "train.encoding"]);
     assert_says(
-        &refused("[train]\nfactored = true\nreturn_steps = 2"),
-        &["train.factored", "train.return_steps"],
+        &refused("[train]\nfactored = true\nn_step = 2"),
+        &["train.factored", "train.n_step"],
     );
     assert_says(&refused("[train]\nchannels = ['visited']"), &["train.channels", "height"]);
-    assert_says(&refused("[train]\nwarmup = 1"), &["train.warmup", "train.batch"]);
-    assert_says(&refused("[train]\nreturn_steps = 9"), &["train.return_steps", "1 to 8"]);
+    assert_says(
+        &refused("[train]\nlearning_starts = 1"),
+        &["train.learning_starts", "train.batch_size"],
+    );
+    assert_says(&refused("[train]\nn_step = 9"), &["train.n_step", "1 to 8"]);
     assert_says(
         &refused("[rl]\nhole_threshold_dbm = -300.0\nfloor_dbm = -400.0"),
         &["nothing to learn"],
@@ -318,11 +321,11 @@ fn what_cannot_be_trained_on_is_refused() {
 fn too_little_memory_is_told_before_anything_begins() {
     let dir = temporary_dir();
     let config = dir.path().join("config.toml");
-    write(&config, "[train]\nbatch = 65536\nwarmup = 65536\nreplay = 100000000");
+    write(&config, "[train]\nbatch_size = 65536\nlearning_starts = 65536\nbuffer_size = 100000000");
     let out = dir.path().join("run");
     let failed = run(&mut train(&out, &config, &[]));
     assert_eq!(failed.code, Some(1), "{failed:?}");
-    assert_says(&failed.stderr, &["MB are free", "train.replay", "train.batch"]);
+    assert_says(&failed.stderr, &["MB are free", "train.buffer_size", "train.batch_size"]);
     assert!(!out.exists());
 }
 
@@ -332,10 +335,10 @@ fn a_single_map_that_changes_at_every_step_can_be_learned_from() {
     let dataset = Arc::new(Dataset::open(&HELSINKI.dataset).expect("opened"));
     let config = Config::default();
     let train = TrainConfig {
-        batch: 32,
-        episodes: 4,
-        warmup: 32,
-        replay: 256,
+        batch_size: 32,
+        num_envs: 4,
+        learning_starts: 32,
+        buffer_size: 256,
         refresh_every: 1,
         widths: [2; 7],
         precision: Precision::Float32,
@@ -377,11 +380,11 @@ fn it_learns_a_map_with_a_known_answer() {
     };
     let train = TrainConfig {
         updates: 300,
-        batch: 32,
-        episodes: 32,
-        warmup: 512,
+        batch_size: 32,
+        num_envs: 32,
+        learning_starts: 512,
         learning_rate: 2e-3,
-        target_sync: 20,
+        target_network_frequency: 20,
         widths: [8; 7],
         augment: false,
         precision: Precision::Float32,

@@ -61,9 +61,9 @@ pub(super) struct TrainFlags {
     /// train.updates: gradient updates of the whole run
     #[arg(long, value_name = "N")]
     updates: Option<u64>,
-    /// train.batch: transitions in an update
+    /// train.batch_size: transitions in an update
     #[arg(long, value_name = "N")]
-    batch: Option<u32>,
+    batch_size: Option<u32>,
     /// train.learning_rate
     #[arg(long, value_name = "F")]
     learning_rate: Option<f64>,
@@ -94,7 +94,7 @@ impl TrainFlags {
             None => {}
         }
         set(&mut train.updates, self.updates.as_ref());
-        set(&mut train.batch, self.batch.as_ref());
+        set(&mut train.batch_size, self.batch_size.as_ref());
         set(&mut train.learning_rate, self.learning_rate.as_ref());
         set(&mut train.seed, self.seed.as_ref());
         set(&mut train.checkpoint_every, self.checkpoint_every.as_ref());

@@ -42,6 +42,26 @@ impl crate::error::HasFault for ConfigError {
     }
 }
 
+/// Why a file is no configuration.
+#[derive(Debug, thiserror::Error)]
+pub enum ParseError {
+    /// It has settings that have another name now.
+    #[error("{}", told.join("; "))]
+    Renamed {
+        /// What each is called.
+        told: Vec<String>,
+    },
+    /// It is not TOML, or has unknown settings or values of another kind.
+    #[error(transparent)]
+    Toml(#[from] toml::de::Error),
+}
+
+impl crate::error::HasFault for ParseError {
+    fn fault(&self) -> crate::error::Fault {
+        crate::error::Fault::Input
+    }
+}
+
 fn demand(
     holds: bool,
     key: &'static str,
@@ -84,6 +104,19 @@ pub struct Config {
 }
 
 impl Config {
+    /// Reads a file's text; what it does not tell is as by default. Values are not checked yet.
+    ///
+    /// # Errors
+    /// [`ParseError`].
+    pub fn parse(text: &str) -> Result<Self, ParseError> {
+        let table: toml::Table = text.parse()?;
+        let has = |key: &str| table.get("train").is_some_and(|train| train.get(key).is_some());
+        let old = train::RENAMED.iter().filter(|(old, _)| has(old));
+        let told: Vec<String> =
+            old.map(|(old, new)| format!("train.{old} is called train.{new} now")).collect();
+        if told.is_empty() { Ok(toml::from_str(text)?) } else { Err(ParseError::Renamed { told }) }
+    }
+
     /// Checks every value and every relation between values.
     ///
     /// # Errors
@@ -130,6 +163,20 @@ mod tests {
     fn unknown_keys_are_refused() {
         let error = toml::from_str::<Config>("[grid]\nspacing = 5\n").expect_err("no such key");
         assert!(error.to_string().contains("spacing"), "{error}");
+    }
+
+    #[test]
+    fn settings_of_another_name_are_told_by_their_new_one() {
+        let error = Config::parse("[train]\nreplay = 5\nseed = 1\nwarmup = 2").expect_err("old");
+        assert_eq!(
+            error.to_string(),
+            "train.replay is called train.buffer_size now; train.warmup is called train.learning_starts now"
+        );
+        let known = toml::Table::try_from(TrainConfig::default()).expect("a table");
+        for (old, new) in train::RENAMED {
+            let new = new.split_whitespace().next().expect("a name");
+            assert!(known.contains_key(new) && !known.contains_key(old), "{old} {new}");
+        }
     }
 
     #[test]

@@ -96,6 +96,25 @@ pub enum OnDamage {
     Quarantine,
 }
 
+/// What settings were called before, and what they are called: the words of `CleanRL` and `Stable-Baselines3`.
+pub(super) const RENAMED: [(&str, &str); 15] = [
+    ("batch", "batch_size"),
+    ("episodes", "num_envs"),
+    ("updates_per_step", "gradient_steps"),
+    ("replay", "buffer_size"),
+    ("warmup", "learning_starts"),
+    ("discount", "gamma"),
+    ("return_steps", "n_step"),
+    ("target_sync", "target_network_frequency"),
+    ("target_share", "tau (1, not 0, for all of the weights)"),
+    ("epsilon_start", "start_e"),
+    ("epsilon_end", "end_e"),
+    ("epsilon_decay", "exploration_fraction"),
+    ("clip_norm", "max_grad_norm"),
+    ("priority_exponent", "priority_alpha"),
+    ("priority_correction", "priority_beta"),
+];
+
 /// `[train]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -106,44 +125,43 @@ pub struct TrainConfig {
     /// Gradient updates of the whole run.
     pub updates: u64,
     /// Transitions in an update.
-    pub batch: u32,
+    pub batch_size: u32,
     /// Episodes at a time.
-    pub episodes: u32,
+    pub num_envs: u32,
     /// Updates for each step of all episodes.
-    pub updates_per_step: u32,
+    pub gradient_steps: u32,
     /// Transitions that the replay holds.
-    pub replay: u32,
+    pub buffer_size: u32,
     /// Transitions before the first update.
-    pub warmup: u32,
+    pub learning_starts: u32,
     /// Learning rate of Adam, at first.
     pub learning_rate: f64,
     /// The learning rate falls along a line, to 0 at the last update.
     pub anneal_learning_rate: bool,
     /// Discount of later rewards (the paper's γ).
-    pub discount: f64,
+    pub gamma: f64,
     /// Steps whose rewards a transition adds up before it relies on a Q-value (n-step returns);
     /// 1 as in the paper.
-    pub return_steps: u32,
-    /// Updates after which the target network takes over the weights.
-    pub target_sync: u32,
-    /// Share of the weights that the target network takes over after each update (Polyak) instead;
-    /// 0 for all of them every `target_sync` updates.
-    pub target_share: f64,
+    pub n_step: u32,
+    /// Updates after which the target network takes over weights.
+    pub target_network_frequency: u32,
+    /// Share of the weights that it takes over then: 1 for all of them, less for Polyak averaging.
+    pub tau: f64,
     /// Share of random actions at first.
-    pub epsilon_start: f64,
+    pub start_e: f64,
     /// Share of random actions in the end.
-    pub epsilon_end: f64,
+    pub end_e: f64,
     /// Updates over which it falls, as a share of all.
-    pub epsilon_decay: f64,
+    pub exploration_fraction: f64,
     /// How an error of a Q-value becomes a loss.
     pub loss: Loss,
     /// Gradients longer than this are shortened to it; 0 for never.
-    pub clip_norm: f64,
+    pub max_grad_norm: f64,
     /// Transitions are sampled in proportion to their error to this power (prioritised replay);
     /// 0 for all alike.
-    pub priority_exponent: f64,
+    pub priority_alpha: f64,
     /// How far weights make good for that at first (the β of Schaul et al., 2016); it rises to 1.
-    pub priority_correction: f64,
+    pub priority_beta: f64,
     /// Weight of the squared reward in the loss (the paper's α). It has no gradient, and is kept
     /// so that losses compare with the paper's.
     pub squared_reward: f64,
@@ -208,24 +226,24 @@ impl Default for TrainConfig {
         Self {
             seed: 0,
             updates: 2000,
-            batch: 64,
-            episodes: 64,
-            updates_per_step: 1,
-            replay: 1_000_000,
-            warmup: 4096,
+            batch_size: 64,
+            num_envs: 64,
+            gradient_steps: 1,
+            buffer_size: 1_000_000,
+            learning_starts: 4096,
             learning_rate: 1e-3,
             anneal_learning_rate: true,
-            discount: 0.99,
-            return_steps: 1,
-            target_sync: 250,
-            target_share: 0.0,
-            epsilon_start: 1.0,
-            epsilon_end: 0.05,
-            epsilon_decay: 0.3,
+            gamma: 0.99,
+            n_step: 1,
+            target_network_frequency: 250,
+            tau: 1.0,
+            start_e: 1.0,
+            end_e: 0.05,
+            exploration_fraction: 0.3,
             loss: Loss::Huber,
-            clip_norm: 10.0,
-            priority_exponent: 0.0,
-            priority_correction: 0.4,
+            max_grad_norm: 10.0,
+            priority_alpha: 0.0,
+            priority_beta: 0.4,
             squared_reward: 0.0,
             reward_prediction: 0.0,
             hole_prediction: 1.0,
@@ -262,7 +280,7 @@ impl TrainConfig {
             loss: Loss::Squared,
             learning_rate: 5e-4,
             anneal_learning_rate: false,
-            clip_norm: 0.0,
+            max_grad_norm: 0.0,
             squared_reward: 1.0,
             hole_prediction: 0.0,
             mask_actions: false,
@@ -288,14 +306,14 @@ impl TrainConfig {
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let counts = [
-            ("train.batch", self.batch, 65_536),
-            ("train.episodes", self.episodes, 65_536),
-            ("train.updates_per_step", self.updates_per_step, 1000),
-            ("train.replay", self.replay, 100_000_000),
-            ("train.warmup", self.warmup, self.replay),
-            ("train.return_steps", self.return_steps, 8),
+            ("train.batch_size", self.batch_size, 65_536),
+            ("train.num_envs", self.num_envs, 65_536),
+            ("train.gradient_steps", self.gradient_steps, 1000),
+            ("train.buffer_size", self.buffer_size, 100_000_000),
+            ("train.learning_starts", self.learning_starts, self.buffer_size),
+            ("train.n_step", self.n_step, 8),
             ("train.value_moves", self.value_moves, 64),
-            ("train.target_sync", self.target_sync, 10_000_000),
+            ("train.target_network_frequency", self.target_network_frequency, 10_000_000),
             ("train.map_memory_mb", self.map_memory_mb, 1_000_000),
             ("train.refresh_every", self.refresh_every, 10_000_000),
             ("train.evaluate_maps", self.evaluate_maps, 1_000_000),
@@ -304,7 +322,12 @@ impl TrainConfig {
         for (key, value, most) in counts {
             demand((1..=most).contains(&value), key, value, format!("1 to {most}"))?;
         }
-        demand(self.warmup >= self.batch, "train.warmup", self.warmup, "at least train.batch")?;
+        demand(
+            self.learning_starts >= self.batch_size,
+            "train.learning_starts",
+            self.learning_starts,
+            "at least train.batch_size",
+        )?;
         for (key, value) in [
             ("train.updates", self.updates),
             ("train.checkpoint_every", self.checkpoint_every),
@@ -313,19 +336,19 @@ impl TrainConfig {
             demand(value > 0, key, value, "at least 1")?;
         }
         let shares = [
-            ("train.discount", self.discount),
-            ("train.target_share", self.target_share),
-            ("train.priority_exponent", self.priority_exponent),
-            ("train.priority_correction", self.priority_correction),
-            ("train.epsilon_start", self.epsilon_start),
-            ("train.epsilon_end", self.epsilon_end),
-            ("train.epsilon_decay", self.epsilon_decay),
+            ("train.gamma", self.gamma),
+            ("train.priority_alpha", self.priority_alpha),
+            ("train.priority_beta", self.priority_beta),
+            ("train.start_e", self.start_e),
+            ("train.end_e", self.end_e),
+            ("train.exploration_fraction", self.exploration_fraction),
         ];
         for (key, value) in shares {
             demand((0.0..=1.0).contains(&value), key, value, "0 to 1")?;
         }
+        demand(self.tau > 0.0 && self.tau <= 1.0, "train.tau", self.tau, "above 0, at most 1")?;
         let weights = [
-            ("train.clip_norm", self.clip_norm),
+            ("train.max_grad_norm", self.max_grad_norm),
             ("train.squared_reward", self.squared_reward),
             ("train.reward_prediction", self.reward_prediction),
             ("train.hole_prediction", self.hole_prediction),
@@ -334,12 +357,12 @@ impl TrainConfig {
             demand(value >= 0.0 && value.is_finite(), key, value, "0 or more")?;
         }
         let factored_needs = "false, or train.hole_prediction above 0, train.mask_actions, \
-                              train.return_steps = 1, train.priority_exponent = 0 and no \
+                              train.n_step = 1, train.priority_alpha = 0 and no \
                               train.dueling";
         let can_be_factored = self.hole_prediction > 0.0
             && self.mask_actions
-            && self.return_steps == 1
-            && self.priority_exponent <= 0.0
+            && self.n_step == 1
+            && self.priority_alpha <= 0.0
             && !self.dueling;
         demand(!self.factored || can_be_factored, "train.factored", true, factored_needs)?;
         let avoid_needs = "false, or train.mask_actions";

@@ -10,8 +10,8 @@ use crate::config::{RlConfig, TrainConfig};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyManifest {
-    /// Always `policy.v3`.
-    #[schemars(extend("const" = "policy.v3"))]
+    /// Always `policy.v4`.
+    #[schemars(extend("const" = "policy.v4"))]
     pub schema: String,
     /// SHA-256 over everything that the output depends on.
     pub fingerprint: String,
@@ -41,5 +41,5 @@ pub struct PolicyManifest {
 
 impl PolicyManifest {
     /// The value of `schema`.
-    pub const SCHEMA: &'static str = "policy.v3";
+    pub const SCHEMA: &'static str = "policy.v4";
 }

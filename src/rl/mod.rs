@@ -40,9 +40,8 @@ pub use flight::{
 pub use inputs::StateEncoder;
 pub use oracle::Hops;
 pub use pool::{MapPool, MapSource, PoolError, PoolState, load_sample, load_split};
-pub use priorities::Priorities;
-pub use replay::{MAX_STEPS, Replay, Transition};
-pub use returns::Recent;
+pub use replay::{MAX_STEPS, ReplayBuffer, Sample, Transition};
+pub use returns::NStepBuffer;
 pub use sight::{ActionSet, Sight};
 pub use symmetry::Symmetry;
 pub use world::World;

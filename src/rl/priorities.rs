@@ -11,7 +11,7 @@ const LEAST: f64 = 1e-3;
 
 /// Priorities of the transitions of a replay buffer, by their positions.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Priorities {
+pub(super) struct Priorities {
     exponent: f64,
     /// The root at 1, the children of i at 2 i and 2 i + 1, the transitions in the second half.
     sums: Vec<f64>,
@@ -21,14 +21,14 @@ pub struct Priorities {
 impl Priorities {
     /// For `capacity` transitions, drawn in proportion to `|error|^exponent`.
     #[must_use]
-    pub fn new(capacity: usize, exponent: f64) -> Self {
+    pub(super) fn new(capacity: usize, exponent: f64) -> Self {
         let leaves = capacity.next_power_of_two();
         Self { exponent, sums: vec![0.0; 2 * leaves], greatest: 1.0 }
     }
 
     /// Bytes that priorities for so many transitions take.
     #[must_use]
-    pub fn bytes(capacity: usize) -> usize {
+    pub(super) fn bytes(capacity: usize) -> usize {
         2 * capacity.next_power_of_two() * size_of::<f64>()
     }
 
@@ -46,19 +46,19 @@ impl Priorities {
     }
 
     /// A new transition: it has the greatest priority so far, so that it is drawn soon.
-    pub fn add(&mut self, at: usize) {
+    pub(super) fn add(&mut self, at: usize) {
         self.set(at, self.greatest);
     }
 
     /// The error that was found for a transition.
-    pub fn change(&mut self, at: usize, error: f32) {
+    pub(super) fn change(&mut self, at: usize, error: f32) {
         let priority = libm::pow(f64::from(error.abs()) + LEAST, self.exponent);
         self.greatest = self.greatest.max(priority);
         self.set(at, priority);
     }
 
     /// A position, each as likely as its priority.
-    pub fn draw(&self, random: &mut Random) -> usize {
+    pub(super) fn draw(&self, random: &mut Random) -> usize {
         let mut rest = random.unit() * self.sums[1];
         let mut node = 1;
         while node < self.leaves() {
@@ -75,21 +75,21 @@ impl Priorities {
 
     /// How likely a position is drawn.
     #[must_use]
-    pub fn likelihood(&self, at: usize) -> f64 {
+    pub(super) fn likelihood(&self, at: usize) -> f64 {
         self.sums[self.leaves() + at] / self.sums[1]
     }
 
     /// What a checkpoint must keep: the priorities of the first `count` transitions, little-endian,
     /// after the greatest of all time.
     #[must_use]
-    pub fn state(&self, count: usize) -> Vec<u8> {
+    pub(super) fn state(&self, count: usize) -> Vec<u8> {
         let leaves = &self.sums[self.leaves()..][..count];
         [self.greatest].iter().chain(leaves).flat_map(|value| value.to_le_bytes()).collect()
     }
 
     /// Takes over what a checkpoint has kept; `false`, and nothing is changed, if it does not fit.
     #[must_use]
-    pub fn restore(&mut self, state: &[u8]) -> bool {
+    pub(super) fn restore(&mut self, state: &[u8]) -> bool {
         let (values, rest) = state.as_chunks::<8>();
         let mut values = values.iter().map(|&bytes| f64::from_le_bytes(bytes));
         if !rest.is_empty() || !(1..=self.leaves() + 1).contains(&values.len()) {

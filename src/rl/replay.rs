@@ -7,6 +7,8 @@
 
 use super::cell::Cell;
 use super::flight::{REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP};
+use super::priorities::Priorities;
+use crate::random::Random;
 
 /// One or more steps of an episode, from a state to a later one.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,9 +52,21 @@ pub const MAX_STEPS: usize = 8;
 /// Map, action, rewards, number of steps with the end, number of cells.
 const FIXED_BYTES: usize = 4 + 2 + 2 + 1 + 1;
 
+/// Transitions to learn from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// Where they stand in the buffer.
+    pub positions: Vec<usize>,
+    /// Themselves.
+    pub transitions: Vec<Transition>,
+    /// What makes good for drawing some more often than others, `(N p)^(-β)`, the greatest of them 1 (importance
+    /// sampling, Schaul et al., 2016); of a buffer that is prioritised.
+    pub weights: Option<Vec<f32>>,
+}
+
 /// A ring of transitions, each of a fixed number of bytes.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Replay {
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReplayBuffer {
     cells: usize,
     max_steps: usize,
     capacity: usize,
@@ -61,9 +75,11 @@ pub struct Replay {
     bytes: Vec<u8>,
     /// Transitions in the buffer on each map, by its number.
     on_map: Vec<u32>,
+    /// If some come more often than others.
+    priorities: Option<Priorities>,
 }
 
-impl Replay {
+impl ReplayBuffer {
     /// Cells along a side that a map may have, so that positions fit into 16 bits.
     pub const MAX_CELLS: usize = 256;
 
@@ -71,14 +87,29 @@ impl Replay {
     /// `cells`.
     ///
     /// # Panics
-    /// If a map has more cells than [`Replay::MAX_CELLS`], or an episode more than 254 steps.
+    /// If a map has more cells than [`ReplayBuffer::MAX_CELLS`], or an episode more than 254 steps.
     #[must_use]
     pub fn new(capacity: usize, cells: usize, max_steps: usize) -> Self {
         assert!(cells <= Self::MAX_CELLS && max_steps < 255, "what there is fits into its bits");
-        let mut replay =
-            Self { cells, max_steps, capacity, added: 0, bytes: Vec::new(), on_map: Vec::new() };
+        let mut replay = Self {
+            cells,
+            max_steps,
+            capacity,
+            added: 0,
+            bytes: Vec::new(),
+            on_map: Vec::new(),
+            priorities: None,
+        };
         replay.bytes.reserve_exact(capacity * replay.stride());
         replay
+    }
+
+    /// The same, empty, with transitions drawn in proportion to their error to the power `alpha` (prioritised
+    /// replay); 0 for all alike.
+    #[must_use]
+    pub fn prioritised(self, alpha: f64) -> Self {
+        let priorities = (alpha > 0.0).then(|| Priorities::new(self.capacity, alpha));
+        Self { priorities, ..self }
     }
 
     /// Bytes of a transition of an episode of at most `max_steps` steps.
@@ -105,16 +136,23 @@ impl Replay {
         self.bytes.is_empty()
     }
 
-    /// What a checkpoint must keep: how many were ever added, and the bytes.
+    /// Bytes of memory that a full buffer takes.
     #[must_use]
-    pub fn state(&self) -> (u64, &[u8]) {
-        (self.added, &self.bytes)
+    pub fn memory(capacity: usize, max_steps: usize, alpha: f64) -> usize {
+        let priorities = if alpha > 0.0 { Priorities::bytes(capacity) } else { 0 };
+        Self::stride_of(max_steps) * capacity + priorities
     }
 
-    /// Takes over what a checkpoint has kept; `false`, and nothing is changed, if it is of
-    /// another buffer.
+    /// What a checkpoint must keep: how many were ever added, the bytes, and those of priorities.
     #[must_use]
-    pub fn restore(&mut self, added: u64, bytes: Vec<u8>) -> bool {
+    pub fn state(&self) -> (u64, &[u8], Vec<u8>) {
+        let priorities = self.priorities.as_ref().map(|priorities| priorities.state(self.len()));
+        (self.added, &self.bytes, priorities.unwrap_or_default())
+    }
+
+    /// Takes over what a checkpoint has kept; `false` if it is of another buffer, which is then of no use.
+    #[must_use]
+    pub fn restore(&mut self, added: u64, bytes: Vec<u8>, priorities: &[u8]) -> bool {
         let stride = self.stride();
         let expected = (added as usize).min(self.capacity) * stride;
         let fits = bytes.len() == expected;
@@ -125,7 +163,50 @@ impl Replay {
             self.on_map.clear();
             (0..self.len()).for_each(|at| self.count(at));
         }
-        fits
+        fits && self.priorities.as_mut().is_none_or(|own| own.restore(priorities))
+    }
+
+    /// Draws `count` transitions on maps that are held; `beta`, 0 to 1, says how far weights make good for
+    /// priorities.
+    ///
+    /// # Panics
+    /// If the buffer is empty. It does not end if no map is held.
+    #[must_use]
+    pub fn sample(
+        &self,
+        count: usize,
+        beta: f64,
+        holds: impl Fn(u32) -> bool,
+        random: &mut Random,
+    ) -> Sample {
+        let mut draw = || loop {
+            let at = match &self.priorities {
+                Some(priorities) => priorities.draw(random),
+                None => random.below(self.len()),
+            };
+            if holds(self.map(at)) {
+                return at;
+            }
+        };
+        let positions: Vec<usize> = (0..count).map(|_| draw()).collect();
+        let weights = self.priorities.as_ref().map(|priorities| {
+            let of = |&at: &usize| libm::pow(self.len() as f64 * priorities.likelihood(at), -beta);
+            let weights: Vec<f64> = positions.iter().map(of).collect();
+            let greatest = weights.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+            weights.iter().map(|weight| (weight / greatest) as f32).collect()
+        });
+        Sample {
+            transitions: positions.iter().map(|&at| self.get(at)).collect(),
+            positions,
+            weights,
+        }
+    }
+
+    /// Sets the priorities of transitions that were learned from by their errors.
+    pub fn update_priorities(&mut self, positions: &[usize], errors: &[f32]) {
+        let Some(priorities) = &mut self.priorities else { return };
+        let errors = positions.iter().zip(errors).filter(|(_, error)| error.is_finite());
+        errors.for_each(|(&at, &error)| priorities.change(at, error));
     }
 
     fn position(&self, cell: Cell) -> [u8; 2] {
@@ -175,6 +256,9 @@ impl Replay {
         }
         self.added += 1;
         self.count(at);
+        if let Some(priorities) = &mut self.priorities {
+            priorities.add(at);
+        }
         at
     }
 
@@ -217,7 +301,6 @@ impl Replay {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::Random;
 
     fn transition(n: u64) -> Transition {
         let mut random = Random::keyed(&[n]);
@@ -247,7 +330,7 @@ mod tests {
 
     #[test]
     fn transitions_come_back_as_they_were_and_the_oldest_goes() {
-        let mut replay = Replay::new(10, 121, 8);
+        let mut replay = ReplayBuffer::new(10, 121, 8);
         (0..25).for_each(|n| assert_eq!(replay.push(&transition(n)), n as usize % 10));
         assert_eq!(replay.len(), 10);
         for at in 0..10 {
@@ -262,19 +345,38 @@ mod tests {
 
     #[test]
     fn a_million_transitions_fit_into_a_hundred_megabytes() {
-        assert!(Replay::new(1, 121, 8).stride() * 1_000_000 < 100_000_000);
+        assert!(ReplayBuffer::new(1, 121, 8).stride() * 1_000_000 < 100_000_000);
     }
 
     #[test]
     fn a_restored_buffer_goes_on_as_the_old_one() {
-        let mut replay = Replay::new(10, 121, 8);
+        let mut replay = ReplayBuffer::new(10, 121, 8).prioritised(0.6);
         (0..13).for_each(|n| assert_eq!(replay.push(&transition(n)), n as usize % 10));
-        let (added, bytes) = replay.state();
+        let (added, bytes, priorities) = replay.state();
         let (added, bytes) = (added, bytes.to_vec());
-        let mut restored = Replay::new(10, 121, 8);
-        assert!(!restored.restore(added, bytes[1..].to_vec()));
-        assert!(restored.restore(added, bytes));
+        let new = || ReplayBuffer::new(10, 121, 8).prioritised(0.6);
+        let mut restored = new();
+        assert!(!restored.restore(added, bytes[1..].to_vec(), &priorities));
+        assert!(!new().restore(added, bytes.clone(), &[]));
+        assert!(restored.restore(added, bytes, &priorities));
         assert_eq!(replay.push(&transition(13)), restored.push(&transition(13)));
         assert_eq!(restored, replay);
+    }
+
+    /// Of maps that are held only; the greater an error, the more often, and the less it weighs.
+    #[test]
+    fn samples_are_of_held_maps_and_weighed_by_how_often_they_come() {
+        let mut replay = ReplayBuffer::new(10, 121, 8).prioritised(1.0);
+        (0..4).for_each(|n| assert_eq!(replay.push(&transition(n)), n as usize));
+        replay.update_priorities(&[0, 1, 2, 3], &[1.0, 2.0, f32::NAN, 4.0]);
+        let sample = replay.sample(900, 1.0, |map| map < 2, &mut Random::keyed(&[1]));
+        let of_map = |map| sample.transitions.iter().filter(|one| one.map == map).count();
+        assert_eq!(of_map(0) + of_map(1), 900);
+        assert!((500..700).contains(&of_map(1)), "{}", of_map(1));
+        let weights = sample.weights.expect("it is prioritised");
+        for (transition, weight) in sample.transitions.iter().zip(weights) {
+            let expected = if transition.map == 0 { 1.0 } else { 0.5 };
+            assert!((weight - expected).abs() < 1e-3, "{weight}");
+        }
     }
 }

@@ -9,11 +9,11 @@ use super::replay::Transition;
 
 /// The latest steps of an episode that no transition begins with yet.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Recent {
+pub struct NStepBuffer {
     steps: VecDeque<(usize, f32)>,
 }
 
-impl Recent {
+impl NStepBuffer {
     /// Adds a step, the last one of `path`; `push` receives the transition of `most` steps that it
     /// completes, and at the `end` of the episode those of fewer steps too.
     ///
@@ -63,7 +63,7 @@ mod tests {
     /// Steps 0, 1, 2 ... with rewards -0, -1, -2 ... over an episode of `steps` steps.
     fn transitions(steps: usize, most: usize, terminal: bool) -> Vec<(usize, usize, usize)> {
         let path: Vec<Cell> = (0..=steps as i32).map(|row| Cell::new(row, 0)).collect();
-        let mut recent = Recent::default();
+        let mut recent = NStepBuffer::default();
         let mut found = Vec::new();
         for step in 0..steps {
             let end = step + 1 == steps;
@@ -77,7 +77,7 @@ mod tests {
                 found.push((*action, rewards.len(), path.len()));
             });
         }
-        assert_eq!(recent, Recent::default());
+        assert_eq!(recent, NStepBuffer::default());
         found
     }
 

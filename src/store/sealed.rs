@@ -56,7 +56,7 @@ pub fn write_sealed(directory: &Path, files: &[(&str, &[u8])]) -> Result<(), Out
     let mut sums = String::new();
     for (name, bytes) in files {
         write_synced(&new.path().join(name), bytes)?;
-        sums += &format!("{}  {name}\n", sha256_bytes(bytes).sha256);
+        sums.extend([&*sha256_bytes(bytes).sha256, "  ", name, "\n"]);
     }
     write_synced(&new.path().join(SUMS), sums.as_bytes())?;
     sync_file(new.path())?;
@@ -72,7 +72,8 @@ pub fn write_sealed(directory: &Path, files: &[(&str, &[u8])]) -> Result<(), Out
 /// As [`write_sealed`].
 pub fn remove_sealed(directory: &Path) -> Result<(), OutputError> {
     demand_own(directory)?;
-    Ok(drop(take_away(directory)?))
+    let _removed = take_away(directory)?;
+    Ok(())
 }
 
 /// Removes what killed runs left half-written or half-removed in a directory.

@@ -165,7 +165,7 @@ fn damaged(error: TrainerError, path: &Path, before: Option<&PathBuf>) -> TrainE
     if !source.is_damage() {
         return TrainerError::Checkpoint(source).into();
     }
-    TrainError::Damaged { source, path: path.to_owned(), before: before.cloned() }
+    TrainError::Damaged { source: Box::new(source), path: path.to_owned(), before: before.cloned() }
 }
 
 /// Demands that a directory is a run, or holds nothing.

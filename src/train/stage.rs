@@ -58,7 +58,7 @@ pub enum TrainError {
     #[error("{source}; {}", way_on(path, before.as_deref()))]
     Damaged {
         /// What is wrong.
-        source: CheckpointError,
+        source: Box<CheckpointError>,
         /// The checkpoint.
         path: PathBuf,
         /// The one before, if there is one.
@@ -193,7 +193,7 @@ fn greet(
         policy.size(),
         policy.computing().kind,
         policy.device(),
-        train.replay,
+        train.buffer_size,
         need.replay_bytes as f64 / 1e6,
         need.bytes() as f64 / 1e6,
         trainer.updates(),
@@ -243,7 +243,7 @@ impl Session<'_> {
             let done = self.trainer.updates();
             if done.is_multiple_of(REPORTED) || done == train.updates {
                 let report = self.trainer.report()?;
-                let pace = clock.pace(&self.trainer, train.batch);
+                let pace = clock.pace(&self.trainer, train.batch_size);
                 let found = report.mean_return.map_or("-".into(), |of| format!("{of:.2}"));
                 self.progress.state(&format!(
                     "return {found}, loss {:.4}, ε {:.2}, {:.0} samples/s",

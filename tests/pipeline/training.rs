@@ -11,12 +11,12 @@ use super::{HELSINKI, holescout, read, run, sha256, temporary_dir, write};
 pub(crate) const SMALL: &str = "
 [train]
 updates = 24
-batch = 8
-episodes = 8
-warmup = 64
-replay = 256
+batch_size = 8
+num_envs = 8
+learning_starts = 64
+buffer_size = 256
 widths = [4, 4, 4, 4, 4, 4, 4]
-target_sync = 5
+target_network_frequency = 5
 precision = 'float32'
 checkpoint_every = 2
 evaluate_every = 12

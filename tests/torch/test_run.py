@@ -19,10 +19,10 @@ UPDATES = 24
 CONFIG = f"""
 [train]
 updates = {UPDATES}
-batch = 8
-episodes = 8
-warmup = 64
-replay = 256
+batch_size = 8
+num_envs = 8
+learning_starts = 64
+buffer_size = 256
 widths = [4, 4, 4, 4, 4, 4, 4]
 checkpoint_every = 12
 evaluate_every = 12

@@ -36,21 +36,21 @@ impl Adam {
     }
 
     /// One update by the gradients of a network's [leaves](QNetwork::leaves). Gradients whose norm
-    /// over all parameters is above `clip_norm` are shortened to it (0 for never). Returns that norm,
+    /// over all parameters is above `max_grad_norm` are shortened to it (0 for never). Returns that norm,
     /// a scalar, for which nobody waits.
     pub fn step(
         &mut self,
         network: &mut QNetwork,
         gradients: &[Tensor],
         rate: f64,
-        clip_norm: f64,
+        max_grad_norm: f64,
     ) -> Tensor {
         tch::no_grad(|| {
             let row: Vec<Tensor> = gradients.iter().map(|one| one.flatten(0, -1)).collect();
             let mut gradient = Tensor::cat(&row, 0).to_kind(Kind::Float);
             let norm = gradient.norm();
-            if clip_norm > 0.0 {
-                let _ = gradient.g_mul_(&(clip_norm / &norm).clamp_max(1.0));
+            if max_grad_norm > 0.0 {
+                let _ = gradient.g_mul_(&(max_grad_norm / &norm).clamp_max(1.0));
             }
             self.updates += 1;
             let [bias_1, bias_2] = [BETA_1, BETA_2].map(|beta| 1.0 - beta.powi(self.updates));

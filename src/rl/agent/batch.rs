@@ -151,7 +151,7 @@ impl Batcher {
             buffers: RefCell::default(),
             device,
             on_device,
-            discount: train.discount,
+            discount: train.gamma,
             value_moves: train.factored.then_some(train.value_moves as usize),
         };
         for (place, (number, map)) in maps.into_iter().enumerate() {

@@ -20,7 +20,7 @@ use super::trainer::TrainerSetup;
 use crate::config::{RlConfig, TrainConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{ManifestError, PolicyManifest, load};
-use crate::rl::{EpisodeState, PoolState, Recent, World};
+use crate::rl::{EpisodeState, NStepBuffer, PoolState, World};
 use crate::store::{
     MANIFEST, OutputError, SUMS, SealError, read_sealed, sha256_bytes, write_sealed,
 };
@@ -150,7 +150,7 @@ pub struct Validation {
 pub(super) struct Memory {
     pub(super) pool: PoolState,
     pub(super) episodes: Vec<EpisodeState>,
-    pub(super) recent: Vec<Recent>,
+    pub(super) recent: Vec<NStepBuffer>,
     pub(super) returns: Vec<f32>,
     pub(super) replay_added: u64,
     pub(super) replay: ByteBuf,

@@ -97,6 +97,7 @@ pub fn keep_freed_memory() {
 
 /// Has libtorch compute on this thread and no more of its own than rayon has, which knows what was asked for;
 /// returns how many that are.
+#[must_use]
 pub fn limit_threads() -> usize {
     let threads = (tch::get_num_threads().max(1) as usize).min(rayon::current_num_threads());
     tch::set_num_threads(threads as i32);

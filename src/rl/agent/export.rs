@@ -95,7 +95,7 @@ struct Sections<'a> {
 fn values(train: &TrainConfig) -> String {
     let level = "    value = F.linear(hidden.mean((2, 3)), weights[\"value.weight\"], weights[\"value.bias\"])\n";
     if train.factored {
-        let (step, discount) = (REWARD_STEP, train.discount);
+        let (step, discount) = (REWARD_STEP, train.gamma);
         let chance = "    hole = out[:, -1].sigmoid()  # the chance that a move leads to a hole\n";
         let q = format!("(1 - hole) * ({step} + {discount} * (out[:, 0] + value))");
         format!("{chance}{level}    return {q}")
@@ -165,7 +165,7 @@ fn card(manifest: &PolicyManifest) -> String {
         ("threshold", format!("({})", rl.hole_threshold_dbm.0)),
         ("minus_threshold", (-rl.hole_threshold_dbm.0).to_string()),
         ("height_scale", rl.height_scale_m.to_string()),
-        ("discount", train.discount.to_string()),
+        ("discount", train.gamma.to_string()),
         ("masked", masked.to_owned()),
         ("config", config),
     ];

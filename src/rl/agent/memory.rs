@@ -7,7 +7,7 @@ use super::network::{QNetwork, ShapeError, activations};
 use crate::config::{Config, Split};
 use crate::dataset::Dataset;
 use crate::error::{Fault, HasFault};
-use crate::rl::{MapPool, Priorities, Replay, StateEncoder, World};
+use crate::rl::{MapPool, ReplayBuffer, StateEncoder, World};
 
 /// Copies of a batch's states that are there at a time: in buffers, as tensors, as computed with.
 const STATE_COPIES: usize = 4;
@@ -18,7 +18,7 @@ const LAYER_COPIES: usize = 3;
 #[derive(Debug, thiserror::Error)]
 #[error(
     "training needs about {} MB ({} MB maps, {} MB replay, {} MB network and batch), {} MB are free: \
-     lower train.map_memory_mb, train.replay or train.batch",
+     lower train.map_memory_mb, train.buffer_size or train.batch_size",
     mb(need.bytes()), mb(need.map_bytes), mb(need.replay_bytes), mb(need.network_bytes), mb(*free)
 )]
 pub struct MemoryError {
@@ -62,9 +62,7 @@ impl MemoryNeed {
         let train_bytes = MapPool::bytes(records(Split::Train), cells, budget);
         let judged = records(Split::Val).min(train.evaluate_maps as usize);
         let val_bytes = judged * World::bytes(cells);
-        let (max_steps, replay) = (rl.max_steps as usize, train.replay as usize);
-        let prioritised = train.priority_exponent > 0.0;
-        let priorities = if prioritised { Priorities::bytes(replay) } else { 0 };
+        let (max_steps, replay) = (rl.max_steps as usize, train.buffer_size as usize);
         let network = QNetwork::new(cells, rl.reach_cells, train, Device::Cpu)?;
         let shapes = StateEncoder::new(cells, rl, train).shapes();
         let state = size_of::<f32>()
@@ -73,10 +71,10 @@ impl MemoryNeed {
         let weights = 6 * 6 * network.size();
         let layers = size_of::<f32>() * activations(cells, rl.reach_cells, train);
         let sample = STATE_COPIES * 2 * state + LAYER_COPIES * layers;
-        let batch = sample * train.batch.max(train.episodes) as usize;
+        let batch = sample * train.batch_size.max(train.num_envs) as usize;
         Ok(Self {
             map_bytes: train_bytes + val_bytes,
-            replay_bytes: Replay::stride_of(max_steps) * replay + priorities,
+            replay_bytes: ReplayBuffer::memory(replay, max_steps, train.priority_alpha),
             network_bytes: if device == Device::Cpu { weights + batch } else { 0 },
         })
     }

@@ -100,7 +100,7 @@ impl Heads {
             rewards: config.reward_prediction > 0.0,
             holes: config.hole_prediction > 0.0,
             dueling: config.dueling,
-            factored: config.factored.then_some(config.discount),
+            factored: config.factored.then_some(config.gamma),
         }
     }
 
@@ -262,7 +262,7 @@ impl QNetwork {
     ///
     /// # Panics
     /// If the shapes differ.
-    pub fn approach(&mut self, other: &Self, share: f64) {
+    pub fn soft_update(&mut self, other: &Self, share: f64) {
         self.change(|learned| {
             if share < 1.0 {
                 let _ = learned.lerp_(&other.learned, share);

@@ -59,11 +59,11 @@ fn adam_by_hand() {
 fn a_target_network_comes_closer_by_its_share() {
     let (mut target, policy) = (network(&small()), network(&TrainConfig { seed: 1, ..small() }));
     let (before, goal) = (values(&target), values(&policy));
-    target.approach(&policy, 0.25);
+    target.soft_update(&policy, 0.25);
     for ((old, goal), new) in before.iter().zip(&goal).zip(values(&target)) {
         assert!((old + 0.25 * (goal - old) - new).abs() < 1e-6);
     }
-    target.approach(&policy, 1.0);
+    target.soft_update(&policy, 1.0);
     assert_eq!(values(&target), goal);
 }
 
@@ -73,7 +73,7 @@ fn leaves_follow_what_is_learned() {
     for precision in [Precision::Float32, Precision::Bfloat16] {
         let config = TrainConfig { precision, ..small() };
         let (mut changed, other) = (network(&config), network(&TrainConfig { seed: 1, ..config }));
-        changed.approach(&other, 1.0);
+        changed.soft_update(&other, 1.0);
         for (leaf, (name, learned)) in changed.leaves().iter().zip(other.named()) {
             assert_eq!(leaf.kind(), changed.computing().kind);
             assert!(leaf.equal(&learned.to_kind(leaf.kind())), "{name}");
@@ -216,7 +216,7 @@ fn factored_q_values_by_hand() {
         assert!(values(&network).contains(&0.0), "V is 0 at first");
         // A dueling network has the same weights, of which none are 0.
         let random = TrainConfig { factored: false, dueling: true, ..config.clone() };
-        network.approach(&centered(&random, 15).0, 1.0);
+        network.soft_update(&centered(&random, 15).0, 1.0);
         let inputs = network.inputs(&inputs[0], &inputs[1]);
         let outputs = tch::no_grad(|| network.forward(&inputs));
         let level = outputs.level.expect("it is");

@@ -20,8 +20,8 @@ use super::report::{Totals, TotalsState, TrainReport};
 use crate::config::{RlConfig, TrainConfig};
 use crate::error::{Fault, HasFault};
 use crate::rl::{
-    ActionSet, Cell, Environment, MapPool, MapSource, NothingToLearn, PoolError, Priorities,
-    Random, Recent, Replay, Transition,
+    ActionSet, Cell, Environment, MapPool, MapSource, NStepBuffer, NothingToLearn, PoolError,
+    Random, ReplayBuffer,
 };
 
 const ACTING: u64 = 21;
@@ -44,7 +44,7 @@ pub enum TrainerError {
     #[error(
         "maps of {cells} × {cells} cells are too large for the replay, which takes {0} × {0}: choose \
          a smaller shard.downsample or grid.crop_m",
-        Replay::MAX_CELLS
+        ReplayBuffer::MAX_CELLS
     )]
     TooLarge {
         /// Cells along a side.
@@ -56,7 +56,7 @@ pub enum TrainerError {
     /// The loss is no longer finite.
     #[error(
         "the loss or its gradient is no longer finite, shortly before update {update}: train into \
-         another directory (--run) with a lower train.learning_rate or train.clip_norm"
+         another directory (--run) with a lower train.learning_rate or train.max_grad_norm"
     )]
     Diverged {
         /// Updates done.
@@ -97,10 +97,9 @@ pub struct Trainer<'a> {
     pool: MapPool,
     environment: Environment,
     /// Steps that no transition begins with yet, and the return so far, of each episode.
-    recent: Vec<Recent>,
+    recent: Vec<NStepBuffer>,
     returns: Vec<f32>,
-    replay: Replay,
-    priorities: Option<Priorities>,
+    replay: ReplayBuffer,
     batcher: Batcher,
     policy: QNetwork,
     target: QNetwork,
@@ -117,23 +116,22 @@ impl<'a> Trainer<'a> {
     pub fn new(setup: TrainerSetup<'a>, pool: MapPool) -> Result<Self, TrainerError> {
         let TrainerSetup { rl, train, device, .. } = setup;
         let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
-        let episodes = train.episodes as usize;
+        let episodes = train.num_envs as usize;
         let environment = Environment::new(&maps, episodes, rl.max_steps, train.seed)?;
         let cells = maps[0].cells();
-        if cells > Replay::MAX_CELLS {
+        if cells > ReplayBuffer::MAX_CELLS {
             return Err(TrainerError::TooLarge { cells });
         }
         let network = || QNetwork::new(cells, rl.reach_cells, train, device);
         let (policy, target) = (network()?, network()?);
-        let capacity = train.replay as usize;
+        let capacity = train.buffer_size as usize;
         Ok(Self {
             setup,
             environment,
-            recent: vec![Recent::default(); episodes],
+            recent: vec![NStepBuffer::default(); episodes],
             returns: vec![0.0; episodes],
-            replay: Replay::new(capacity, cells, rl.max_steps as usize),
-            priorities: (train.priority_exponent > 0.0)
-                .then(|| Priorities::new(capacity, train.priority_exponent)),
+            replay: ReplayBuffer::new(capacity, cells, rl.max_steps as usize)
+                .prioritised(train.priority_alpha),
             batcher: Batcher::new(pool.maps().to_vec(), rl, train, device),
             adam: Adam::new(&policy),
             policy,
@@ -169,13 +167,8 @@ impl<'a> Trainer<'a> {
         if !trainer.environment.restore(episodes) || [recent.len(), returns.len()] != [slots; 2] {
             return Err(damaged("episodes").into());
         }
-        if !trainer.replay.restore(*replay_added, replay.to_vec()) {
+        if !trainer.replay.restore(*replay_added, replay.to_vec(), priorities) {
             return Err(damaged("transitions").into());
-        }
-        if let Some(own) = &mut trainer.priorities
-            && !own.restore(priorities)
-        {
-            return Err(damaged("priorities").into());
         }
         (trainer.recent, trainer.returns) = (recent.clone(), returns.clone());
         trainer.counters = checkpoint.counters;
@@ -191,9 +184,7 @@ impl<'a> Trainer<'a> {
     pub fn save(&self, directory: &Path, validation: &Validation) -> Result<(), TrainerError> {
         let update = self.counters.updates;
         let totals = self.totals.state().ok_or(TrainerError::Diverged { update })?;
-        let (replay_added, replay) = self.replay.state();
-        let priorities =
-            self.priorities.as_ref().map(|priorities| priorities.state(self.replay.len()));
+        let (replay_added, replay, priorities) = self.replay.state();
         let memory = Memory {
             pool: self.pool.state(),
             episodes: self.environment.save(),
@@ -201,7 +192,7 @@ impl<'a> Trainer<'a> {
             returns: self.returns.clone(),
             replay_added,
             replay: replay.to_vec().into(),
-            priorities: priorities.unwrap_or_default().into(),
+            priorities: priorities.into(),
         };
         let mut checkpoint =
             Checkpoint::new(&self.setup, &self.pool.maps()[0].1, self.counters, totals, memory);
@@ -242,12 +233,19 @@ impl<'a> Trainer<'a> {
     #[must_use]
     pub fn epsilon(&self) -> f64 {
         let train = self.setup.train;
-        if self.replay.len() < train.warmup as usize {
+        if self.replay.len() < train.learning_starts as usize {
             return 1.0;
         }
-        let over = (train.epsilon_decay * train.updates as f64).max(1.0);
+        let over = (train.exploration_fraction * train.updates as f64).max(1.0);
         let fallen = (self.counters.updates as f64 / over).min(1.0);
-        train.epsilon_start + (train.epsilon_end - train.epsilon_start) * fallen
+        train.start_e + (train.end_e - train.start_e) * fallen
+    }
+
+    /// How far weights make good for prioritised sampling now: from `train.priority_beta` to 1.
+    fn beta(&self) -> f64 {
+        let TrainConfig { updates, priority_beta: first, .. } = *self.setup.train;
+        let done = (self.counters.updates as f64 / updates as f64).min(1.0);
+        first + (1.0 - first) * done
     }
 
     /// The learning rate now.
@@ -264,14 +262,14 @@ impl<'a> Trainer<'a> {
     /// If a map cannot be read.
     pub fn update(&mut self) -> Result<(), TrainerError> {
         let train = self.setup.train;
-        while self.replay.len() < train.warmup as usize {
+        while self.replay.len() < train.learning_starts as usize {
             self.act()?;
         }
-        if self.counters.updates.is_multiple_of(train.updates_per_step.into()) {
+        if self.counters.updates.is_multiple_of(train.gradient_steps.into()) {
             self.act()?;
         }
         // Maps that were just replaced have taken their transitions along.
-        while self.learnable() < train.batch as usize {
+        while self.learnable() < train.batch_size as usize {
             self.act()?;
         }
         self.learn();
@@ -293,55 +291,24 @@ impl<'a> Trainer<'a> {
     pub fn learn(&mut self) {
         let train = self.setup.train;
         let mut random = Random::keyed(&[train.seed, SAMPLING, self.counters.updates]);
-        let positions: Vec<usize> = (0..train.batch).map(|_| self.draw(&mut random)).collect();
-        let transitions: Vec<Transition> =
-            positions.iter().map(|&at| self.replay.get(at)).collect();
-        let batch = self.batcher.batch(&transitions, train.augment, &mut random);
-        let weights = self.importance(&positions);
+        let count = train.batch_size as usize;
+        let sample =
+            self.replay.sample(count, self.beta(), |map| self.batcher.holds(map), &mut random);
+        let batch = self.batcher.batch(&sample.transitions, train.augment, &mut random);
+        let weights = sample.weights.map(|weights| upload(&weights, self.setup.device));
         let parts = loss(&self.policy, &self.target, &batch, weights.as_ref(), train);
         let gradients = Tensor::run_backward(&[&parts.total], self.policy.leaves(), false, false);
-        let (rate, clip) = (self.learning_rate(), train.clip_norm);
+        let (rate, clip) = (self.learning_rate(), train.max_grad_norm);
         let norm = self.adam.step(&mut self.policy, &gradients, rate, clip);
         self.totals.add(&parts, &norm);
-        if let (Some(priorities), Some(errors)) = (&mut self.priorities, &parts.errors) {
+        if let Some(errors) = &parts.errors {
             let errors = Vec::<f32>::try_from(errors).expect("a row of numbers");
-            let errors = positions.iter().zip(errors).filter(|(_, error)| error.is_finite());
-            errors.for_each(|(&at, error)| priorities.change(at, error));
+            self.replay.update_priorities(&sample.positions, &errors);
         }
         self.counters.updates += 1;
-        if train.target_share > 0.0 {
-            self.target.approach(&self.policy, train.target_share);
-        } else if self.counters.updates.is_multiple_of(train.target_sync.into()) {
-            self.target.approach(&self.policy, 1.0);
+        if self.counters.updates.is_multiple_of(train.target_network_frequency.into()) {
+            self.target.soft_update(&self.policy, train.tau);
         }
-    }
-
-    /// The position of a transition on a map that is in memory.
-    fn draw(&self, random: &mut Random) -> usize {
-        loop {
-            let at = match &self.priorities {
-                Some(priorities) => priorities.draw(random),
-                None => random.below(self.replay.len()),
-            };
-            if self.batcher.holds(self.replay.map(at)) {
-                return at;
-            }
-        }
-    }
-
-    /// What makes good for drawing some transitions more often than others: `(N p)^(-β)`, the
-    /// greatest of them 1, `[batch]`.
-    fn importance(&self, positions: &[usize]) -> Option<Tensor> {
-        let priorities = self.priorities.as_ref()?;
-        let TrainConfig { updates, priority_correction: first, .. } = *self.setup.train;
-        let done = (self.counters.updates as f64 / updates as f64).min(1.0);
-        let exponent = -(first + (1.0 - first) * done);
-        let count = self.replay.len() as f64;
-        let weight = |&at: &usize| libm::pow(count * priorities.likelihood(at), exponent);
-        let weights: Vec<f64> = positions.iter().map(weight).collect();
-        let greatest = weights.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        let weights: Vec<f32> = weights.iter().map(|weight| (weight / greatest) as f32).collect();
-        Some(upload(&weights, self.setup.device))
     }
 
     /// One step of all episodes, ε-greedy, into the replay.
@@ -353,7 +320,7 @@ impl<'a> Trainer<'a> {
         let steps = self.counters.steps;
         let is_due = steps > 0 && steps.is_multiple_of(train.refresh_every.into());
         // A map that goes takes its transitions along: as long as there are too few, all stay.
-        if is_due && self.learnable() >= train.batch as usize {
+        if is_due && self.learnable() >= train.batch_size as usize {
             self.refresh()?;
         }
         let mut random = Random::keyed(&[train.seed, ACTING, self.counters.steps]);
@@ -383,9 +350,11 @@ impl<'a> Trainer<'a> {
             path.push(outcome.next);
             let ends = outcome.terminal || outcome.truncated;
             let step = (actions[slot], outcome.reward);
-            let (replay, priorities) = (&mut self.replay, &mut self.priorities);
-            let push = |transition| remember(replay, priorities.as_mut(), &transition);
-            let most = train.return_steps as usize;
+            let replay = &mut self.replay;
+            let push = |transition| {
+                let _ = replay.push(&transition);
+            };
+            let most = train.n_step as usize;
             self.recent[slot].step((map, &path), step, [ends, outcome.terminal], most, push);
             self.returns[slot] += outcome.reward;
             if ends {
@@ -417,10 +386,12 @@ impl<'a> Trainer<'a> {
         let Some(place) = self.pool.refresh()? else { return Ok(()) };
         let (number, map) = &self.pool.maps()[place];
         let gone = self.batcher.replace(place, *number, Arc::clone(map));
-        let Self { recent, returns, replay, priorities, .. } = self;
+        let Self { recent, returns, replay, .. } = self;
         self.environment.replace(place, map, |slot, visited| {
             returns[slot] = 0.0;
-            let push = |transition| remember(replay, priorities.as_mut(), &transition);
+            let push = |transition| {
+                let _ = replay.push(&transition);
+            };
             recent[slot].cut((gone, visited), false, push);
         });
         Ok(())
@@ -448,13 +419,5 @@ impl<'a> Trainer<'a> {
             actions[slot] = Some(action as usize);
         }
         actions
-    }
-}
-
-/// Adds a transition to the replay.
-fn remember(replay: &mut Replay, priorities: Option<&mut Priorities>, transition: &Transition) {
-    let at = replay.push(transition);
-    if let Some(priorities) = priorities {
-        priorities.add(at);
     }
 }
