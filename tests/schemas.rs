@@ -10,8 +10,8 @@ use std::sync::LazyLock;
 
 use holescout::config::{RlConfig, TrainConfig};
 use holescout::dataset::Record;
-use holescout::manifest::{PolicyManifest, Software};
-use holescout::store::SeekTable;
+use holescout::manifest::{PolicyManifest, RunManifest, Software};
+use holescout::store::{SeekTable, sha256_bytes};
 use jsonschema::Validator;
 use serde_json::{Value, json};
 
@@ -67,7 +67,19 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
             [&EVALUATION, &OF_REPEATS].map(|it| read_json(&it.join("report.json"))).to_vec(),
         ),
         ("policy.v4", vec![policy()]),
+        ("run.v1", vec![training()]),
     ])
+}
+
+/// What a run of training says of itself; `tests/runs.rs` looks at that of a real one.
+fn training() -> Value {
+    json!(RunManifest {
+        schema: RunManifest::SCHEMA.to_owned(),
+        software: Software::this(),
+        dataset: sha256_bytes(b"a manifest"),
+        rl: RlConfig::default(),
+        train: TrainConfig::default(),
+    })
 }
 
 /// The manifest of a policy; `tests/train.rs` looks at that of a real one.
@@ -305,6 +317,9 @@ fn tampered_values_do_not_validate() {
         ("policy.v4", "/train/loss", json!("cubic")),
         ("policy.v4", "/cells", json!(-1)),
         ("policy.v4", "/schema", json!("policy.v1")),
+        ("run.v1", "/dataset/sha256", json!("abc")),
+        ("run.v1", "/train/gamma", json!("high")),
+        ("run.v1", "/schema", json!("run.v2")),
     ];
     let mut unnoticed = vec![];
     for (name, path, value) in tampered {
