@@ -80,7 +80,10 @@ fn load(
     config: &Config,
     console: &Console,
 ) -> Result<Loaded, Failure> {
-    use holescout::{dataset::Dataset, rl::agent::Agent, store::sha256_file};
+    use holescout::dataset::Dataset;
+    use holescout::rl::agent::{Agent, keep_freed_memory};
+    use holescout::store::sha256_file;
+    keep_freed_memory();
     let device = args.device.choice().device()?;
     let dataset = Dataset::open_with(&args.dataset, &config.remote)?;
     let (cells, cell_m) = (dataset.manifest().cells as usize, dataset.manifest().cell_m);
