@@ -1,6 +1,6 @@
 //! How a stage's run ends, be it whole or a task's part.
 
-use holescout::manifest::Built;
+use holescout::store::Built;
 use holescout::store::TaskReport;
 use serde_json::json;
 

@@ -18,14 +18,15 @@ use crate::config::{Config, Split};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
-    Built, DatasetConfig, DatasetManifest, Dropped, IndexEntry, ManifestError, MapEntry, RsrpFile,
+    DatasetConfig, DatasetManifest, Dropped, IndexEntry, ManifestError, MapEntry, RsrpFile,
     RsrpManifest, ShardEntry, Software, SplitStatistics, StageFileError, TileEntry, TileFile,
-    TilesManifest, already_built, fingerprint, load, to_json,
+    TilesManifest, fingerprint, load, to_json,
 };
 use crate::progress::Progress;
 use crate::radio_map::{MASK_BUILDING, MASK_UNREACHED};
 use crate::store::{
-    BuildMode, Digest, OutputDir, OutputError, SeekableWriter, compress_frame, sha256_bytes,
+    Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
+    SeekableWriter, compress_frame, sha256_bytes,
 };
 
 /// Why a dataset could not be built.
@@ -174,9 +175,10 @@ pub fn build_dataset(
         return Err(ShardError::Downsample { cells, factor });
     }
     let fingerprint = fingerprint(&(DatasetManifest::SCHEMA, &config, &tiles_digest, &rsrp_digest));
-    if let Some(built) = already_built(job.out, "dataset", &fingerprint, job.mode, progress)? {
-        return Ok(built);
-    }
+    let build = match Build::open(job.out, "dataset", &fingerprint, job.mode, progress)? {
+        Opened::Done(built) => return Ok(built),
+        Opened::Ready(build) => build,
+    };
 
     let ids: Vec<TileId> = rsrp.maps.iter().map(|map| map.id).collect();
     let splits = assign_splits(&ids, &config.grid, &config.split);
@@ -188,18 +190,13 @@ pub fn build_dataset(
         config,
     };
 
-    let mut output = OutputDir::begin(job.out, "dataset", &fingerprint, job.mode)?;
-    let mine = output.take_up(&plan, |shard| shard.file.clone(), progress)?;
-    let records: usize = mine.iter().map(|shard| shard.ids.len()).sum();
-    progress.begin("building records", Some(records as u64));
-    let done = mine
-        .into_iter()
-        .map(|shard| build_shard(shard, &context, &output, progress))
-        .collect::<Result<Vec<_>, _>>()?;
-    progress.end();
-    if let Some(report) = output.end_task()? {
-        return Ok(Built::Part(report));
-    }
+    let how = ("building shards", Parallel::Within);
+    let key = |shard: &PlannedShard| shard.file.clone();
+    let shard = |shard: &PlannedShard, item: Item<'_>| build_shard(shard, &context, item);
+    let (done, output) = match build.run_items(how, &plan, key, shard, progress)? {
+        Items::Part(report) => return Ok(Built::Part(report)),
+        Items::All(done, output) => (done, output),
+    };
 
     let mut sums: BTreeMap<Split, Option<SplitStatistics>> = BTreeMap::new();
     for DoneShard { entry, statistics } in &done {
@@ -280,13 +277,8 @@ fn index(plan: &[PlannedShard]) -> Vec<IndexEntry> {
 fn build_shard(
     shard: &PlannedShard,
     context: &Context<'_>,
-    output: &OutputDir,
-    progress: &dyn Progress,
-) -> Result<DoneShard, ShardError> {
-    if let Some(done) = output.finished(&shard.file) {
-        progress.advance(shard.ids.len() as u64);
-        return Ok(done);
-    }
+    item: Item<'_>,
+) -> Result<Finished<DoneShard>, ShardError> {
     let frames = shard
         .ids
         .par_iter()
@@ -295,7 +287,6 @@ fn build_shard(
             let bytes = record.encode();
             let frame = compress_frame(&bytes, context.config.shard.zstd_level)
                 .map_err(FileError::new("compress", Path::new(&shard.file)))?;
-            progress.advance(1);
             Ok((frame, bytes.len(), statistics))
         })
         .collect::<Result<Vec<_>, ShardError>>()?;
@@ -316,7 +307,7 @@ fn build_shard(
         },
         statistics: sum.expect("a shard has at least one record"),
     };
-    Ok(output.finish_item(&shard.file, &[(&shard.file, &bytes)], done)?)
+    Ok(item.finish(&[(&shard.file, &bytes)], done)?)
 }
 
 fn build_record(

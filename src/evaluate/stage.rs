@@ -22,7 +22,7 @@ use crate::manifest::{EvaluationManifest, Software, fingerprint, to_json};
 use crate::progress::Progress;
 use crate::rl::policy::MakePolicy;
 use crate::rl::{PoolError, Sight, World};
-use crate::store::{OutputDir, OutputError};
+use crate::store::{Build, OutputError};
 
 /// Pixels of a chart's PNG for one unit of its SVG.
 const PNG_SCALE: f32 = 2.0;
@@ -130,9 +130,9 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
     let policy_sha256 = job.agent.map(|(_, sha256)| sha256.to_owned());
     let inputs = (dataset.digest(), &policy_sha256, &split);
     let fingerprint = fingerprint(&("evaluate", inputs, &config.rl, &config.evaluate));
-    OutputDir::check(job.out, "evaluation", &fingerprint, job.overwrite)?;
+    let build = Build::open_whole(job.out, "evaluation", &fingerprint, job.overwrite)?;
     let fitted = fit(&dataset, job, progress)?;
-    let output = OutputDir::begin(job.out, "evaluation", &fingerprint, job.overwrite)?;
+    let output = build.begin()?;
 
     let sight = Sight::new(config.rl.reach_cells);
     let agent = job.agent.map(|(agent, _)| agent);

@@ -3,7 +3,6 @@
 //! A manifest names its inputs by content, never by path, and holds no time of day, so
 //! that the same inputs give the same manifest anywhere.
 
-mod built;
 mod common;
 mod dataset;
 mod evaluation;
@@ -14,7 +13,6 @@ mod run;
 mod scenes;
 mod tiles;
 
-pub use built::{Built, already_built};
 pub(crate) use common::json_schema_with;
 pub use common::{
     Input, ManifestError, Software, fingerprint, json_schema, load, parse, schema, to_json,

@@ -16,12 +16,15 @@ use crate::config::{Config, RsrpConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
-    Built, ImportInputs, ManifestError, MapEntry, MapFile, RsrpManifest, ScenesManifest,
-    StageFileError, TileEntry, TilesManifest, already_built, dropped_tiles, fingerprint, load,
+    ImportInputs, ManifestError, MapEntry, MapFile, RsrpManifest, ScenesManifest,
+    StageFileError, TileEntry, TilesManifest, dropped_tiles, fingerprint, load,
     to_json,
 };
 use crate::progress::Progress;
-use crate::store::{BuildMode, Digest, OutputDir, OutputError, Part, sha256_file};
+use crate::store::{
+    Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
+    Part, sha256_file,
+};
 
 /// Why maps could not be imported at all. Single maps are rejected, not errors.
 #[derive(Debug, thiserror::Error)]
@@ -129,10 +132,10 @@ pub fn import_maps(
         ignored,
     };
     let fingerprint = fingerprint(&(RsrpManifest::SCHEMA, config, &tiles_digest, &inputs));
-    if let Some(built) = already_built(job.out, "rsrp", &fingerprint, job.mode, progress)? {
-        return Ok(built);
-    }
-    let mut output = OutputDir::begin(job.out, "rsrp", &fingerprint, job.mode)?;
+    let build = match Build::open(job.out, "rsrp", &fingerprint, job.mode, progress)? {
+        Opened::Done(built) => return Ok(built),
+        Opened::Ready(build) => build,
+    };
 
     let context = Context {
         tiles: job.tiles,
@@ -144,10 +147,18 @@ pub fn import_maps(
         record_cell_m,
         limit: u64::from(config.max_array_mib) << 20,
     };
-    let outcomes = import_all(&sources, &context, &mut output, progress)?;
-    if let Some(report) = output.end_task()? {
-        return Ok(Built::Part(report));
-    }
+    let described = describe_all(&sources, &context, progress);
+    let claims = claims(&sources, &described);
+    let plan: Vec<_> = sources.iter().zip(&described).collect();
+    let how = ("importing radio maps", Parallel::Across);
+    let key = |(source, _): &(&Source, _)| source.name.clone();
+    let import = |&(source, described): &(&Source, &Result<_, _>), item: Item<'_>| {
+        import_one(source, described.as_ref(), &claims, &context, item)
+    };
+    let (outcomes, output) = match build.run_items(how, &plan, key, import, progress)? {
+        Items::Part(report) => return Ok(Built::Part(report)),
+        Items::All(outcomes, output) => (outcomes, output),
+    };
     output.write("rejected.csv", &rejected_csv(&outcomes))?;
     output.write("import.csv", &imported_csv(&outcomes))?;
     let manifest = summarise(&outcomes, &context, fingerprint, &tiles_digest, inputs);
@@ -199,46 +210,38 @@ fn map_file(source: &Source) -> MapFile {
     }
 }
 
-/// Metadata of all maps first, since two files may claim one tile; then the maps themselves.
-fn import_all(
+/// Metadata of all maps: two files may claim one tile.
+fn describe_all(
     sources: &[Source],
     context: &Context<'_>,
-    output: &mut OutputDir,
     progress: &dyn Progress,
-) -> Result<Vec<Outcome>, ImportError> {
-    progress.begin("reading metadata", Some(sources.len() as u64));
+) -> Vec<Result<Described, Rejection>> {
     let RsrpConfig { preset, assume, .. } = context.rsrp;
     let supplement =
         Supplement { preset: *preset, assume: Some(assume), scenes: context.scenes.as_ref() };
-    let described: Vec<Result<Described, Rejection>> = sources
-        .par_iter()
-        .map(|source| {
-            progress.advance(1);
-            source.digest.as_ref().map_err(Clone::clone)?;
-            load_metadata(&source.path, context.limit, &supplement)
-        })
-        .collect();
+    progress.begin("reading metadata", Some(sources.len() as u64));
+    let described = sources.par_iter().map(|source| {
+        progress.advance(1);
+        source.digest.as_ref().map_err(Clone::clone)?;
+        load_metadata(&source.path, context.limit, &supplement)
+    });
+    let described = described.collect();
     progress.end();
+    described
+}
+
+/// The files that say which tile is theirs, by tile.
+fn claims<'a>(
+    sources: &'a [Source],
+    described: &'a [Result<Described, Rejection>],
+) -> BTreeMap<&'a str, Vec<&'a str>> {
     let mut claims: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
-    for (source, described) in sources.iter().zip(&described) {
+    for (source, described) in sources.iter().zip(described) {
         if let Ok(Described { metadata, .. }) = described {
             claims.entry(&metadata.location_id).or_default().push(&source.name);
         }
     }
-    let all: Vec<_> = sources.iter().zip(&described).collect();
-    let mine = output.take_up(&all, |(source, _)| source.name.clone(), progress)?;
-    let output = &*output;
-    progress.begin("importing radio maps", Some(mine.len() as u64));
-    let outcomes = mine
-        .into_par_iter()
-        .map(|(source, described)| {
-            let outcome = import_one(source, described.as_ref(), &claims, context, output);
-            progress.advance(1);
-            outcome
-        })
-        .collect();
-    progress.end();
-    outcomes
+    claims
 }
 
 fn import_one(
@@ -246,11 +249,8 @@ fn import_one(
     described: Result<&Described, &Rejection>,
     claims: &BTreeMap<&str, Vec<&str>>,
     context: &Context<'_>,
-    output: &OutputDir,
-) -> Result<Outcome, ImportError> {
-    if let Some(outcome) = output.finished(&source.name) {
-        return Ok(outcome);
-    }
+    item: Item<'_>,
+) -> Result<Finished<Outcome>, ImportError> {
     let examined = described.map_err(|rejection| rejection.clone().into()).and_then(|described| {
         let entry = locate(&described.metadata, claims, context)?;
         let digest = source.digest.as_ref().map_err(Clone::clone)?;
@@ -263,7 +263,7 @@ fn import_one(
             let location = described.map_or("", |known| &known.metadata.location_id).to_owned();
             let file = source.name.clone();
             let outcome = |_: &[Digest]| Outcome::Rejected { file, location, rejection };
-            Ok(output.finish_item(&source.name, &[], outcome)?)
+            Ok(item.finish(&[], outcome)?)
         }
         Ok((Examined { meta, map, quality, warnings }, Described { assumed, .. })) => {
             let file = format!("{}.npz", meta.id);
@@ -281,7 +281,7 @@ fn import_one(
                 }),
                 radio: meta.radio.clone(),
             };
-            Ok(output.finish_item(&source.name, &[(&file, &bytes)], outcome)?)
+            Ok(item.finish(&[(&file, &bytes)], outcome)?)
         }
     }
 }

@@ -14,12 +14,15 @@ use crate::config::{Config, FilterConfig, GridConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::{Area, TileId};
 use crate::manifest::{
-    BuildingCounts, Built, Input, Software, TileEntry, TileMeta, TileStatistics, TilesConfig,
-    TilesManifest, Verdict, already_built, fingerprint, to_json,
+    BuildingCounts, Input, Software, TileEntry, TileMeta, TileStatistics, TilesConfig,
+    TilesManifest, Verdict, fingerprint, to_json,
 };
 use crate::osm::{Extract, ReadError, read_buildings};
 use crate::progress::Progress;
-use crate::store::{BuildMode, Digest, OutputDir, OutputError, npy_bytes, npz_bytes, sha256_file};
+use crate::store::{
+    Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
+    npy_bytes, npz_bytes, sha256_file,
+};
 
 /// Deflate level of tiles. Level 2 takes half again to twice the time of level 1 and leaves
 /// two thirds to half of the size; each further level saves less and costs more
@@ -118,9 +121,10 @@ pub fn build_tiles(
     let area = job.area.coordinates();
     let digests: Vec<_> = inputs.iter().map(|input| &input.digest).collect();
     let fingerprint = fingerprint(&(TilesManifest::SCHEMA, &config, &digests, &area));
-    if let Some(built) = already_built(job.out, "tiles", &fingerprint, job.mode, progress)? {
-        return Ok(built);
-    }
+    let build = match Build::open(job.out, "tiles", &fingerprint, job.mode, progress)? {
+        Opened::Done(built) => return Ok(built),
+        Opened::Ready(build) => build,
+    };
 
     let Extract { city, utm, mut problems, tagged } =
         read_buildings(job.osm, &config.buildings, grid.epsg, job.area, progress)?;
@@ -129,21 +133,13 @@ pub fn build_tiles(
     let source = TileSource::new(&city, grid, utm);
     let candidates = select(&source, job.area, grid)?;
 
-    let mut output = OutputDir::begin(job.out, "tiles", &fingerprint, job.mode)?;
-    let candidates = output.take_up(&candidates, ToString::to_string, progress)?;
-    progress.begin("rasterising tiles", Some(candidates.len() as u64));
-    let candidates = candidates
-        .par_iter()
-        .map(|&&id| {
-            let candidate = build_tile(id, &source, &config, &output);
-            progress.advance(1);
-            candidate
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    progress.end();
-    if let Some(report) = output.end_task()? {
-        return Ok(Built::Part(report));
-    }
+    let tile = |id: &TileId, item: Item<'_>| build_tile(*id, &source, &config, item);
+    let how = ("rasterising tiles", Parallel::Across);
+    let (candidates, output) =
+        match build.run_items(how, &candidates, ToString::to_string, tile, progress)? {
+            Items::Part(report) => return Ok(Built::Part(report)),
+            Items::All(candidates, output) => (candidates, output),
+        };
 
     output.write("tiles.csv", &tiles_csv(&candidates))?;
     output.write("problems.csv", &problems_csv(&problems))?;
@@ -210,12 +206,8 @@ fn build_tile(
     id: TileId,
     source: &TileSource<'_>,
     config: &TilesConfig,
-    output: &OutputDir,
-) -> Result<Candidate, FileError> {
-    let key = id.to_string();
-    if let Some(done) = output.finished(&key) {
-        return Ok(done);
-    }
+    item: Item<'_>,
+) -> Result<Finished<Candidate>, RasteriseError> {
     let tile = source.rasterise(id);
     let statistics = tile.statistics;
     let verdict = judge(&statistics, &config.filter);
@@ -225,12 +217,11 @@ fn build_tile(
         verdict,
         digest: written.first().cloned(),
     };
-    if verdict == Verdict::Kept {
-        let bytes = tile_npz(id, &tile, config);
-        output.finish_item(&key, &[(&file_name(id), &bytes)], candidate)
-    } else {
-        output.finish_item(&key, &[], candidate)
+    if verdict != Verdict::Kept {
+        return Ok(item.finish(&[], candidate)?);
     }
+    let bytes = tile_npz(id, &tile, config);
+    Ok(item.finish(&[(&file_name(id), &bytes)], candidate)?)
 }
 
 fn judge(statistics: &TileStatistics, filter: &FilterConfig) -> Verdict {

@@ -14,7 +14,7 @@ use crate::dataset::{Dataset, ReadError, Record, croissant, record_schemas, reli
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{DatasetManifest, Release, ShardEntry, Software, fingerprint, to_json};
 use crate::progress::Progress;
-use crate::store::{Digest, MANIFEST, OutputDir, OutputError, SUMS, sha256_bytes};
+use crate::store::{Digest, MANIFEST, Build, Output, OutputError, SUMS, sha256_bytes};
 
 /// Zenodo takes no more files in a record.
 const MOST_FILES: usize = 100;
@@ -178,7 +178,8 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
         check_version(previous, &dataset, job.version, progress)?;
     }
 
-    let output = OutputDir::begin(&out, "dataset", &manifest.fingerprint, job.overwrite)?;
+    let build = Build::open_whole(&out, "dataset", &manifest.fingerprint, job.overwrite)?;
+    let output = build.begin()?;
     copy_shards(&dataset, &output, progress)?;
     let scan = scan(&dataset, progress)?;
     for (id, _) in &shown {
@@ -362,7 +363,7 @@ fn check_version(
 
 fn copy_shards(
     dataset: &Dataset,
-    output: &OutputDir,
+    output: &Output,
     progress: &dyn Progress,
 ) -> Result<(), ReleaseError> {
     let shards = &dataset.manifest().shards;

@@ -16,14 +16,17 @@ use crate::config::{Config, ConfigError, GridConfig, Placement};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::{Area, BoxIndex, TileId};
 use crate::manifest::{
-    Built, LeftOutSolids, ManifestError, SceneEntry, SceneFile, SceneMaterials, SceneMeta,
-    SceneStation, ScenesConfig, ScenesManifest, SitesInput, Software, TilesManifest, already_built,
-    fingerprint, load, to_json,
+    LeftOutSolids, ManifestError, SceneEntry, SceneFile, SceneMaterials, SceneMeta,
+    SceneStation, ScenesConfig, ScenesManifest, SitesInput, Software, TileEntry, TilesManifest, fingerprint,
+    load, to_json,
 };
 use crate::osm::{Extract, ReadError, read_buildings};
 use crate::progress::Progress;
 use crate::rasterise::TileSource;
-use crate::store::{BuildMode, Digest, OutputDir, OutputError, sha256_file};
+use crate::store::{
+    Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
+    sha256_file,
+};
 
 /// Why scenes could not be built.
 #[derive(Debug, thiserror::Error)]
@@ -172,9 +175,10 @@ pub fn build_scenes(
     let sites_digest = sites_input.as_ref().map(|input| &input.digest);
     let fingerprint =
         fingerprint(&(ScenesManifest::SCHEMA, &config, map_cell_m, &tiles_digest, sites_digest));
-    if let Some(built) = already_built(job.out, "scenes", &fingerprint, job.mode, progress)? {
-        return Ok(built);
-    }
+    let build = match Build::open(job.out, "scenes", &fingerprint, job.mode, progress)? {
+        Opened::Done(built) => return Ok(built),
+        Opened::Ready(build) => build,
+    };
 
     let epsg = Some(tiles.epsg);
     let Extract { city, utm, .. } =
@@ -200,21 +204,13 @@ pub fn build_scenes(
         sites,
     };
 
-    let mut output = OutputDir::begin(job.out, "scenes", &fingerprint, job.mode)?;
-    let mine = output.take_up(&tiles.tiles, |tile| tile.id.to_string(), progress)?;
-    progress.begin("writing scenes", Some(mine.len() as u64));
-    let outcomes = mine
-        .par_iter()
-        .map(|tile| {
-            let outcome = build_scene(tile.id, &context, &output);
-            progress.advance(1);
-            outcome
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    progress.end();
-    if let Some(report) = output.end_task()? {
-        return Ok(Built::Part(report));
-    }
+    let how = ("writing scenes", Parallel::Across);
+    let key = |tile: &TileEntry| tile.id.to_string();
+    let scene = |tile: &TileEntry, item: Item<'_>| build_scene(tile.id, &context, item);
+    let (outcomes, output) = match build.run_items(how, &tiles.tiles, key, scene, progress)? {
+        Items::Part(report) => return Ok(Built::Part(report)),
+        Items::All(outcomes, output) => (outcomes, output),
+    };
     let manifest =
         summarise(outcomes, &context, fingerprint, &tiles_digest, left_out, sites_input)?;
     output.complete(&to_json(&manifest))?;
@@ -316,12 +312,8 @@ fn holds(square: &Rect<f64>, [x, y]: [f64; 2]) -> bool {
 fn build_scene(
     id: TileId,
     context: &Context<'_>,
-    output: &OutputDir,
-) -> Result<Outcome, FileError> {
-    let key = id.to_string();
-    if let Some(done) = output.finished(&key) {
-        return Ok(done);
-    }
+    item: Item<'_>,
+) -> Result<Finished<Outcome>, SceneError> {
     let ScenesConfig { grid, scene, .. } = &context.config;
     let meeting = context.index.meeting(&id.square(grid.side_m.into()));
     let solids: Vec<&Solid> = meeting.into_iter().map(|at| &context.solids[at]).collect();
@@ -340,7 +332,7 @@ fn build_scene(
     };
     let outcome = |entry| Outcome { id, entry, repeated, raised };
     if stations.is_empty() {
-        return output.finish_item(&key, &[], |_| outcome(None));
+        return Ok(item.finish(&[], |_| outcome(None))?);
     }
     let buildings = Mesh::of_solids(solids.iter().copied(), id);
     let meta = meta(id, context, &solids, &buildings, stations);
@@ -355,7 +347,7 @@ fn build_scene(
     let names = contents.each_ref().map(|(name, _)| format!("{id}/{name}"));
     let files: Vec<(&str, &[u8])> =
         names.iter().zip(&contents).map(|(name, (_, bytes))| (name.as_str(), &bytes[..])).collect();
-    output.finish_item(&key, &files, |digests| {
+    let finished = item.finish(&files, |digests| {
         let named = names.iter().cloned().zip(digests);
         outcome(Some(SceneEntry {
             id,
@@ -364,7 +356,8 @@ fn build_scene(
             triangles: meta.triangles,
             base_stations: meta.base_stations.len() as u32,
         }))
-    })
+    });
+    Ok(finished?)
 }
 
 fn meta(

@@ -10,7 +10,7 @@ use crate::config::{Channel, Encoding, RlConfig, TrainConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{PolicyManifest, Software, fingerprint, to_json};
 use crate::rl::{CenteredEncoder, REWARD_STEP};
-use crate::store::{OutputDir, OutputError, sha256_bytes};
+use crate::store::{Build, OutputError, sha256_bytes};
 
 const CARD: &str = include_str!("model_card.md");
 /// What is said of inputs, and how Q-values are computed, in either encoding.
@@ -77,7 +77,7 @@ pub fn export_policy(
         rl,
         train,
     };
-    let output = OutputDir::begin(out, "policy", &manifest.fingerprint, overwrite)?;
+    let output = Build::open_whole(out, "policy", &manifest.fingerprint, overwrite)?.begin()?;
     output.write(WEIGHTS, &weights)?;
     output.write("README.md", card(&manifest).as_bytes())?;
     output.complete(&to_json(&manifest))?;

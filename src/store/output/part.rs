@@ -53,13 +53,6 @@ impl BuildMode {
     }
 }
 
-impl From<bool> for BuildMode {
-    /// A run that builds all, with or without overwriting.
-    fn from(overwrite: bool) -> Self {
-        Self { part: Part::Whole, overwrite }
-    }
-}
-
 /// What a task did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TaskReport {
