@@ -17,7 +17,7 @@ use holescout::grid::{Area, BoxIndex, TileId};
 use holescout::osm::read_buildings;
 use holescout::progress::Silent;
 use holescout::rasterise::{HeightGrid, TileSource};
-use holescout::scene::{Mesh, Solid, Solids, extrude, ply_bytes};
+use holescout::scenes::{Mesh, Solid, Solids, extrude, ply_bytes};
 use holescout::store::{compress_frame, npy_bytes, npz_bytes, sha256_bytes};
 use rayon::prelude::*;
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use holescout::config::Config;
 use holescout::manifest::{MapWarning, RsrpManifest, WarningCode};
 use holescout::progress::Progress;
-use holescout::radio_map::{ImportJob, import_maps};
+use holescout::rsrp::{ImportRsrpJob, import_rsrp};
 use serde_json::json;
 
 use crate::cli::ImportArgs;
@@ -18,7 +18,7 @@ pub(crate) fn run(
     config: &Config,
     console: &Console,
 ) -> Result<Report, Failure> {
-    let job = ImportJob {
+    let job = ImportRsrpJob {
         maps: &args.maps,
         tiles: &args.tiles,
         scenes: args.scenes.as_deref(),
@@ -26,7 +26,7 @@ pub(crate) fn run(
         out: &args.output.out,
         mode: args.task.mode(args.output.overwrite)?,
     };
-    task::report("import-rsrp", import_maps(job, console)?, |manifest| {
+    task::report("import-rsrp", import_rsrp(job, console)?, |manifest| {
         report(&manifest, config.rsrp.strict, console)
     })
 }

@@ -6,7 +6,7 @@ use holescout::building::Action;
 use holescout::config::Config;
 use holescout::grid::Area;
 use holescout::manifest::{TilesManifest, Verdict};
-use holescout::rasterise::{TilesJob, build_tiles};
+use holescout::rasterise::{RasteriseJob, rasterise};
 use serde_json::json;
 
 use crate::cli::RasteriseArgs;
@@ -24,14 +24,14 @@ pub(crate) fn run(
         (None, Some(path)) => Area::from_geojson(path)?,
         (None, None) => Area::Whole,
     };
-    let job = TilesJob {
+    let job = RasteriseJob {
         osm: &args.osm,
         area: &area,
         config,
         out: &args.output.out,
         mode: args.task.mode(args.output.overwrite)?,
     };
-    task::report("rasterise", build_tiles(job, console)?, |manifest| {
+    task::report("rasterise", rasterise(job, console)?, |manifest| {
         Report::new(text(&manifest), &summary(&manifest))
     })
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use holescout::config::Config;
 use holescout::manifest::{LeftOutSolids, ScenesManifest, SitesInput};
-use holescout::scene::{ScenesJob, build_scenes};
+use holescout::scenes::{ScenesJob, scenes};
 use serde_json::json;
 
 use crate::cli::ScenesArgs;
@@ -25,7 +25,7 @@ pub(crate) fn run(
         out: &args.output.out,
         mode: args.task.mode(args.output.overwrite)?,
     };
-    task::report("scenes", build_scenes(job, console)?, |manifest| {
+    task::report("scenes", scenes(job, console)?, |manifest| {
         Report::new(text(&manifest), &summary(&manifest))
     })
 }

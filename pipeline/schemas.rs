@@ -7,10 +7,10 @@ use holescout::dataset::record_schemas;
 use holescout::error::FileError;
 use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
-    DatasetManifest, EvaluationManifest, PolicyManifest, RsrpManifest, RsrpMeta, RunManifest,
-    SceneMeta, ScenesManifest, TileMeta, TilesManifest, json_schema,
+    DatasetManifest, EvaluationManifest, Manifest, PolicyManifest, RsrpManifest, RsrpMeta,
+    RunManifest, SceneMeta, ScenesManifest, TileMeta, TilesManifest, json_schema,
 };
-use holescout::radio_map::RadioMapMetadata;
+use holescout::rsrp::RadioMapMetadata;
 use holescout::store::write_atomic;
 use schemars::JsonSchema;
 use serde_json::json;

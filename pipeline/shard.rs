@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use holescout::config::{Config, Split};
-use holescout::dataset::{ShardJob, build_dataset, hole_share, unsure_share};
+use holescout::dataset::{ShardJob, hole_share, shard, unsure_share};
 use holescout::manifest::DatasetManifest;
 use holescout::progress::Progress;
 use serde_json::json;
@@ -21,7 +21,7 @@ pub(crate) fn run(args: &ShardArgs, config: &Config, console: &Console) -> Resul
         out: &args.output.out,
         mode: args.task.mode(args.output.overwrite)?,
     };
-    task::report("shard", build_dataset(job, console)?, |manifest| report(&manifest, console))
+    task::report("shard", shard(job, console)?, |manifest| report(&manifest, console))
 }
 
 fn report(manifest: &DatasetManifest, console: &Console) -> Result<Report, Failure> {

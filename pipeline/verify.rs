@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use holescout::dataset::verify;
 use holescout::rebuild::{GivenInputs, rebuild};
+use holescout::verify::verify;
 use serde_json::json;
 
 use crate::cli::{InputArgs, VerifyArgs};

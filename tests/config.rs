@@ -38,7 +38,7 @@ attribution = "© OpenStreetMap contributors, \"quoted\""
 min_buildings = 1
 min_built = 0.25
 
-[scene]
+[scenes]
 placement = "roof"
 base_stations = 3
 map_size_m = 408
@@ -189,9 +189,9 @@ fn flags_of_scenes_override_too() {
         "492",
     ];
     let mut expected = Config::default();
-    let scene = &mut expected.scene;
-    (scene.placement, scene.base_stations, scene.seed) = (Placement::Roof, 4, 9);
-    (scene.height_above_m, scene.map_size_m) = (3.5, Some(492));
+    let scene = &mut expected.scenes;
+    (scenes.placement, scenes.base_stations, scenes.seed) = (Placement::Roof, 4, 9);
+    (scenes.height_above_m, scenes.map_size_m) = (3.5, Some(492));
     assert_eq!(parsed(&printed(&flags)), expected);
 }
 

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use holescout::building::{Action, ObjectId};
 use holescout::config::BuildingsConfig;
 use holescout::grid::Area;
-use holescout::osm::{ReadError, read_buildings};
+use holescout::osm::{ExtractError, read_buildings};
 use holescout::progress::Silent;
 use osmpbfreader::osmformat::relation::MemberType;
 use osmpbfreader::osmformat::{HeaderBlock, Node, PrimitiveBlock, PrimitiveGroup, Relation, Way};
@@ -163,7 +163,7 @@ proptest! {
         let config = BuildingsConfig::default();
         let extract = match read_buildings(&[path], &config, None, &Area::Whole, &Silent) {
             Ok(extract) => extract,
-            Err(ReadError::NoBuildings { found, .. }) => {
+            Err(ExtractError::NoBuildings { found, .. }) => {
                 prop_assert_eq!(found, tagged.len());
                 return Ok(());
             }

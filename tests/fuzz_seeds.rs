@@ -8,7 +8,7 @@ use std::path::Path;
 
 use holescout::config::Preset;
 use holescout::dataset::Record;
-use holescout::radio_map::{RadioMapMetadata, Supplement, load_archive};
+use holescout::rsrp::{RadioMapMetadata, Supplement, load_archive};
 use holescout::store::{NpzReader, SeekTable, read_npy};
 use serde_json::json;
 

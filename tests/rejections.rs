@@ -542,7 +542,7 @@ fn an_unreadable_file_is_rejected_like_any_other() {
 
 #[test]
 fn every_code_has_a_case() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/radio_map/rejection.rs");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/rsrp/rejection.rs");
     let text = fs::read_to_string(source).expect("read");
     let (_, variants) = text.split_once("pub enum RejectionCode {").expect("the enum");
     let (variants, _) = variants.split_once('}').expect("its end");

@@ -482,7 +482,7 @@ fn bad_sites_and_contradictions_are_refused_before_anything_is_written() {
     let message = run(scenes(&out, &["--placement", "roof"]).arg("--sites").arg(&sites)).refused();
     assert_says(&message, &["--placement file"]);
     let message = run(&mut scenes(&out, &["--map-size", "1080"])).refused();
-    assert_says(&message, &["scene.map_size_m", "4 m"]);
+    assert_says(&message, &["scenes.map_size_m", "4 m"]);
     let message = run(&mut scenes(&out, &["--base-stations", "0"])).refused();
-    assert_says(&message, &["scene.base_stations"]);
+    assert_says(&message, &["scenes.base_stations"]);
 }

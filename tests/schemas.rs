@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 
 use holescout::config::{RlConfig, TrainConfig};
 use holescout::dataset::Record;
-use holescout::manifest::{PolicyManifest, RunManifest, Software};
+use holescout::manifest::{Manifest, PolicyManifest, RunManifest, Software};
 use holescout::store::{SeekTable, sha256_bytes};
 use jsonschema::Validator;
 use serde_json::{Value, json};
@@ -52,7 +52,7 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
         ("tile.v1", npz(&HELSINKI.tiles)),
         ("tiles.v2", manifest(&HELSINKI.tiles)),
         ("scene.v1", scenes),
-        ("scenes.v1", manifest(&SCENES)),
+        ("scenes.v2", manifest(&SCENES)),
         ("rsrp_map.v1", [npz(&HELSINKI.rsrp), npz(&REPEATED.rsrp)].concat()),
         ("rsrp.v1", [manifest(&HELSINKI.rsrp), manifest(&REPEATED.rsrp)].concat()),
         ("record.v1", records(&HELSINKI.dataset)),
@@ -234,7 +234,7 @@ fn an_artefact_without_a_field_or_with_one_of_another_type_does_not_validate() {
             let foreign = name == "radio_map.v1" && optional.contains(&field.as_str());
             let mut without = artefact.clone();
             without.as_object_mut().expect("fields").remove(field);
-            let of_sites = name == "scenes.v1" && field == "sites";
+            let of_sites = name == "scenes.v2" && field == "sites";
             let half = name == "record.v2" && field == "first_half_share";
             // Null where it is unknown, which schemas of serde types do not tell from missing.
             let labels = name == "report.v1" && field == "labels";
@@ -273,10 +273,10 @@ fn tampered_values_do_not_validate() {
         ("scene.v1", "/materials/ground", json!("asphalt")),
         ("scene.v1", "/id", json!("helsinki")),
         ("scene.v1", "/schema", json!("scene.v2")),
-        ("scenes.v1", "/scenes/0/files/0/digest/sha256", json!("ABC")),
-        ("scenes.v1", "/config/scene/placement", json!("tower")),
-        ("scenes.v1", "/left_out/no_area", json!(-1)),
-        ("scenes.v1", "/schema", json!("tiles.v2")),
+        ("scenes.v2", "/scenes/0/files/0/digest/sha256", json!("ABC")),
+        ("scenes.v2", "/config/scenes/placement", json!("tower")),
+        ("scenes.v2", "/left_out/no_area", json!(-1)),
+        ("scenes.v2", "/schema", json!("tiles.v2")),
         ("rsrp_map.v1", "/source/value_kind", json!("gain")),
         ("rsrp_map.v1", "/schema", json!("rsrp_map.v0")),
         ("rsrp_map.v1", "/row_order", json!("south_first")),

@@ -7,7 +7,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use holescout::config::Preset;
-use holescout::radio_map::{Supplement, load_archive};
+use holescout::rsrp::{Supplement, load_archive};
 use holescout_fuzz as _;
 use libfuzzer_sys::fuzz_target;
 

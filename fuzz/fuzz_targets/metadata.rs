@@ -2,7 +2,7 @@
 //! not has a short reason.
 #![no_main]
 
-use holescout::radio_map::RadioMapMetadata;
+use holescout::rsrp::RadioMapMetadata;
 use holescout_fuzz as _;
 use libfuzzer_sys::fuzz_target;
 

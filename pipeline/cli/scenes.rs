@@ -34,7 +34,7 @@ pub(crate) struct ScenesArgs {
 impl ScenesArgs {
     pub(super) fn apply(&self, config: &mut Config) {
         if self.sites.is_some() && self.scene.placement.is_none() {
-            config.scene.placement = Placement::File;
+            config.scenes.placement = Placement::File;
         }
         self.scene.apply(config);
     }
@@ -51,42 +51,42 @@ enum PlacementName {
     File,
 }
 
-/// Flags for `[scene]`.
+/// Flags for `[scenes]`.
 #[derive(Debug, Args)]
 pub(super) struct SceneFlags {
-    /// scene.placement: where base stations stand
+    /// scenes.placement: where base stations stand
     #[arg(long, value_enum, value_name = "NAME")]
     placement: Option<PlacementName>,
-    /// scene.base_stations: random base stations in a scene
+    /// scenes.base_stations: random base stations in a scene
     #[arg(long, value_name = "N")]
     base_stations: Option<u32>,
-    /// scene.seed: of their places
+    /// scenes.seed: of their places
     #[arg(long, value_name = "N")]
     scene_seed: Option<u64>,
-    /// scene.height_above_m: height of a base station over its roof, in metres
+    /// scenes.height_above_m: height of a base station over its roof, in metres
     #[arg(long, value_name = "M")]
     height_above: Option<f64>,
-    /// scene.ground_height_m: height of a base station on open ground, in metres
+    /// scenes.ground_height_m: height of a base station on open ground, in metres
     #[arg(long, value_name = "M")]
     ground_height: Option<f64>,
-    /// scene.map_size_m: side of the square to be traced, in metres [default: that of the tiles' window]
+    /// scenes.map_size_m: side of the square to be traced, in metres [default: that of the tiles' window]
     #[arg(long, value_name = "M")]
     map_size: Option<u32>,
 }
 
 impl SceneFlags {
     pub(super) fn apply(&self, config: &mut Config) {
-        let Config { scene, .. } = config;
+        let Config { scenes, .. } = config;
         let placement = self.placement.map(|name| match name {
             PlacementName::Any => Placement::Any,
             PlacementName::Roof => Placement::Roof,
             PlacementName::File => Placement::File,
         });
-        set(&mut scene.placement, placement.as_ref());
-        set(&mut scene.base_stations, self.base_stations.as_ref());
-        set(&mut scene.seed, self.scene_seed.as_ref());
-        set(&mut scene.height_above_m, self.height_above.as_ref());
-        set(&mut scene.ground_height_m, self.ground_height.as_ref());
-        scene.map_size_m = self.map_size.or(scene.map_size_m);
+        set(&mut scenes.placement, placement.as_ref());
+        set(&mut scenes.base_stations, self.base_stations.as_ref());
+        set(&mut scenes.seed, self.scene_seed.as_ref());
+        set(&mut scenes.height_above_m, self.height_above.as_ref());
+        set(&mut scenes.ground_height_m, self.ground_height.as_ref());
+        scenes.map_size_m = self.map_size.or(scenes.map_size_m);
     }
 }

@@ -1,50 +1,23 @@
-//! The buildings of an extract as one: which parts belong to which outline, what they inherit, and
-//! the prisms that follow.
+//! The buildings of an extract as one: their groups, and the prisms that follow.
 
-use std::collections::HashMap;
-
-use geo::{Area, BooleanOps, BoundingRect, Rect};
+use geo::Rect;
 use rayon::prelude::*;
 
+use super::Building;
+use super::groups::{Grouped, Named};
 use super::prism::{Prism, prisms_of};
-use super::{Building, Kind, ObjectId, Told};
 use crate::config::BuildingsConfig;
-use crate::grid::BoxIndex;
 
-/// Side of the blocks that buildings are sorted into, in metres: wider than most.
-const BLOCK_M: f64 = 512.0;
-/// Footprints that share less are neighbours, in m²: two readings of one wall.
-const MIN_OVERLAP_M2: f64 = 1e-3;
 /// Buildings whose prisms are made at a time.
 const CHUNK: usize = 1024;
-/// A part belongs to every outline that holds so much of it ...
-const MEMBER_SHARE: f64 = 0.5;
-/// ... and to the one that holds most of it, if that is so much. What laps less over an outline is
-/// a skyway or a neighbour.
-const LEAST_SHARE: f64 = 0.1;
-
-/// A part that a relation `type=building` names as one of an outline.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Named {
-    /// The outline.
-    pub outline: ObjectId,
-    /// The part.
-    pub part: ObjectId,
-}
 
 /// All buildings of an extract.
 #[derive(Debug)]
 pub struct City {
-    buildings: Vec<Building>,
-    index: BoxIndex,
-    /// The outlines that parts belong to, best first.
-    outlines: HashMap<u32, Vec<u32>>,
-    /// The parts of outlines.
-    parts: HashMap<u32, Vec<u32>>,
+    grouped: Grouped,
     prisms: Vec<Prism>,
     /// Where each building's prisms begin; one more for the end.
     first_prism: Vec<u32>,
-    flight_height_m: f64,
 }
 
 impl City {
@@ -57,44 +30,22 @@ impl City {
     /// # Panics
     /// If a footprint has no ring at all.
     #[must_use]
-    pub fn new(mut buildings: Vec<Building>, named: &[Named], config: &BuildingsConfig) -> Self {
-        let boxes = buildings.iter().map(bounds).collect();
-        let index = BoxIndex::new(boxes, BLOCK_M);
-        let outlines = outlines_of_parts(&buildings, &index, named);
-        for (&part, outlines) in &outlines {
-            inherit(&mut buildings, part as usize, outlines, config.level_height_m as f32);
-        }
-        let mut parts: HashMap<u32, Vec<u32>> = HashMap::new();
-        for (&part, outlines) in &outlines {
-            for &outline in outlines {
-                parts.entry(outline).or_default().push(part);
-            }
-        }
-        for parts in parts.values_mut() {
-            parts.sort_unstable();
-        }
-        let mut city = Self {
-            buildings,
-            index,
-            outlines,
-            parts,
-            prisms: Vec::new(),
-            first_prism: vec![0],
-            flight_height_m: config.flight_height_m,
-        };
-        let prisms: Vec<(Vec<Prism>, Vec<u32>)> = city
-            .buildings
+    pub fn new(buildings: Vec<Building>, named: &[Named], config: &BuildingsConfig) -> Self {
+        let grouped = Grouped::new(buildings, named, config);
+        let prisms: Vec<(Vec<Prism>, Vec<u32>)> = grouped
+            .buildings()
             .par_chunks(CHUNK)
             .enumerate()
             .map(|(index, chunk)| {
                 let (mut prisms, mut ends) = (Vec::with_capacity(chunk.len()), Vec::new());
                 for at in 0..chunk.len() {
-                    prisms_of(&city, index * CHUNK + at, &mut prisms);
+                    prisms_of(&grouped, index * CHUNK + at, &mut prisms);
                     ends.push(prisms.len() as u32);
                 }
                 (prisms, ends)
             })
             .collect();
+        let mut city = Self { grouped, prisms: Vec::new(), first_prism: vec![0] };
         for (of_chunk, ends) in prisms {
             let before = city.prisms.len() as u32;
             city.prisms.extend(of_chunk);
@@ -106,31 +57,25 @@ impl City {
     /// The buildings, in the order given.
     #[must_use]
     pub fn buildings(&self) -> &[Building] {
-        &self.buildings
+        self.grouped.buildings()
     }
 
     /// Bounding boxes of the footprints, in the order of the buildings.
     #[must_use]
     pub fn boxes(&self) -> &[Rect<f64>] {
-        self.index.boxes()
+        self.grouped.boxes()
     }
 
     /// Indices of the buildings whose bounding boxes meet a box, ascending.
     #[must_use]
     pub fn meeting(&self, bounds: &Rect<f64>) -> Vec<usize> {
-        self.index.meeting(bounds)
+        self.grouped.meeting(bounds)
     }
 
     /// The outlines that a part belongs to.
     #[must_use]
     pub fn outlines_of(&self, part: usize) -> &[u32] {
-        self.outlines.get(&(part as u32)).map_or(&[], Vec::as_slice)
-    }
-
-    /// The parts that belong to an outline.
-    #[must_use]
-    pub fn parts_of(&self, outline: usize) -> &[u32] {
-        self.parts.get(&(outline as u32)).map_or(&[], Vec::as_slice)
+        self.grouped.outlines_of(part)
     }
 
     /// What a building is made of.
@@ -138,105 +83,6 @@ impl City {
     pub fn prisms_of(&self, building: usize) -> &[Prism] {
         let [first, end] = [building, building + 1].map(|at| self.first_prism[at] as usize);
         &self.prisms[first..end]
-    }
-
-    /// What begins above this height is raised, in metres.
-    pub(super) fn flight_height_m(&self) -> f64 {
-        self.flight_height_m
-    }
-
-    /// The buildings that share area with one and fulfil a condition.
-    pub(super) fn overlapping(
-        &self,
-        building: usize,
-        condition: impl Fn(&Building) -> bool,
-    ) -> Vec<u32> {
-        let near = self.meeting(&self.boxes()[building]).into_iter();
-        let shares = |&other: &usize| {
-            other != building
-                && condition(&self.buildings[other])
-                && overlap_m2(&self.buildings[building], &self.buildings[other]) > MIN_OVERLAP_M2
-        };
-        near.filter(shares).map(|other| other as u32).collect()
-    }
-}
-
-fn bounds(building: &Building) -> Rect<f64> {
-    building.footprint.bounding_rect().expect("a footprint has at least one ring")
-}
-
-/// Area that two footprints share, in m².
-fn overlap_m2(one: &Building, other: &Building) -> f64 {
-    one.footprint.intersection(&other.footprint).unsigned_area()
-}
-
-/// The outlines that each part belongs to, in the order in which it inherits from them.
-fn outlines_of_parts(
-    buildings: &[Building],
-    index: &BoxIndex,
-    named: &[Named],
-) -> HashMap<u32, Vec<u32>> {
-    let is_part = |at: &usize| buildings[*at].attributes.kind == Kind::Part;
-    let parts: Vec<usize> = (0..buildings.len()).filter(is_part).collect();
-    if parts.is_empty() {
-        return HashMap::new();
-    }
-    let mut named_outlines: HashMap<ObjectId, Vec<u32>> = HashMap::new();
-    if !named.is_empty() {
-        let mut at: HashMap<ObjectId, Vec<u32>> = HashMap::new();
-        for (index, building) in (0_u32..).zip(buildings) {
-            at.entry(building.object).or_default().push(index);
-        }
-        for Named { outline, part } in named {
-            let outlines = at.get(outline).into_iter().flatten().copied();
-            let is_outline = |at: &u32| buildings[*at as usize].attributes.kind == Kind::Outline;
-            named_outlines.entry(*part).or_default().extend(outlines.filter(is_outline));
-        }
-    }
-    parts
-        .into_par_iter()
-        .filter_map(|part| {
-            let of_relation = named_outlines.get(&buildings[part].object);
-            let mut outlines = of_relation.cloned().unwrap_or_default();
-            for outline in outlines_at(buildings, index, part) {
-                if !outlines.contains(&outline) {
-                    outlines.push(outline);
-                }
-            }
-            (!outlines.is_empty()).then_some((part as u32, outlines))
-        })
-        .collect()
-}
-
-/// The outlines that a part belongs to by its place, the smallest first.
-fn outlines_at(buildings: &[Building], index: &BoxIndex, part: usize) -> Vec<u32> {
-    let near = index.meeting(&index.boxes()[part]).into_iter();
-    let outlines = near.filter(|&at| buildings[at].attributes.kind == Kind::Outline);
-    let area_m2 = buildings[part].footprint.unsigned_area();
-    let shares: Vec<(usize, f64)> = outlines
-        .map(|at| (at, overlap_m2(&buildings[part], &buildings[at]) / area_m2))
-        .filter(|(_, share)| *share >= LEAST_SHARE)
-        .collect();
-    let most = shares.iter().map(|(_, share)| *share).fold(0.0, f64::max);
-    let mut members: Vec<(f64, ObjectId, u32)> = shares
-        .into_iter()
-        .filter(|(_, share)| *share >= MEMBER_SHARE || *share == most)
-        .map(|(at, _)| (buildings[at].footprint.unsigned_area(), buildings[at].object, at as u32))
-        .collect();
-    members.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
-    members.into_iter().map(|(_, _, at)| at).collect()
-}
-
-/// What a part does not tell it takes from the first of its outlines that tells a top above the
-/// part's bottom. If all that tell one end below, the part is a level high: where it begins is known.
-fn inherit(buildings: &mut [Building], part: usize, outlines: &[u32], level_height_m: f32) {
-    let min_height_m = buildings[part].attributes.min_height_m;
-    let told = outlines.iter().filter_map(|&at| buildings[at as usize].attributes.told());
-    let above = told.clone().find(|told| told.height_m > min_height_m);
-    let a_level = |told: Told| Told { height_m: min_height_m + level_height_m, ..told };
-    let height = above.or_else(|| told.clone().next().map(a_level));
-    if let Some(told) = height {
-        buildings[part].attributes.inherit(told);
     }
 }
 

@@ -2,12 +2,14 @@
 
 mod city;
 mod defect;
+mod groups;
 mod height;
 mod prism;
 mod tags;
 
-pub use city::{City, Named};
+pub use city::City;
 pub use defect::{Action, Defect, Problem};
+pub use groups::Named;
 pub use height::{HeightSource, parse_length, parse_levels};
 pub use prism::{Limits, Prism};
 pub use tags::{

@@ -12,7 +12,8 @@
 //! The rule is written as prisms over footprints, cut so that none needs to know the others: the
 //! column over a cell is the highest of the prisms that stand there, if one does.
 
-use super::{Attributes, Building, City, HeightSource, Kind};
+use super::groups::Grouped;
+use super::{Attributes, Building, HeightSource, Kind};
 
 /// Thickness of what is known to be raised but not from where on (`building=roof` without
 /// `min_height`), in metres: that of a roof.
@@ -45,7 +46,7 @@ pub struct Limits {
 }
 
 /// Appends the prisms of a building.
-pub(super) fn prisms_of(city: &City, building: usize, prisms: &mut Vec<Prism>) {
+pub(super) fn prisms_of(city: &Grouped, building: usize, prisms: &mut Vec<Prism>) {
     let attributes = &city.buildings()[building].attributes;
     let known = attributes.source.is_known();
     // What is known hides what is guessed.

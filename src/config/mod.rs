@@ -7,7 +7,7 @@ mod dataset;
 mod remote;
 mod rl;
 mod rsrp;
-mod scene;
+mod scenes;
 mod tiles;
 mod train;
 
@@ -17,7 +17,7 @@ pub use dataset::{
 pub use remote::RemoteConfig;
 pub use rl::{EvaluateConfig, Method, MethodError, RlConfig};
 pub use rsrp::{Preset, RsrpConfig};
-pub use scene::{Material, Placement, SceneConfig};
+pub use scenes::{Material, Placement, SceneConfig};
 pub use tiles::{BuildingsConfig, FilterConfig, GridConfig};
 pub use train::{Channel, Encoding, Loss, OnDamage, Precision, TrainConfig};
 
@@ -86,7 +86,7 @@ pub struct Config {
     /// Which tiles are urban enough.
     pub filter: FilterConfig,
     /// Scenes for a ray tracer.
-    pub scene: SceneConfig,
+    pub scenes: SceneConfig,
     /// Import of radio maps.
     pub rsrp: RsrpConfig,
     /// Records and shards.
@@ -112,8 +112,12 @@ impl Config {
         let table: toml::Table = text.parse()?;
         let has = |key: &str| table.get("train").is_some_and(|train| train.get(key).is_some());
         let old = train::RENAMED.iter().filter(|(old, _)| has(old));
-        let told: Vec<String> =
-            old.map(|(old, new)| format!("train.{old} is called train.{new} now")).collect();
+        let section = table.contains_key("scene");
+        let told: Vec<String> = section
+            .then(|| "[scene] is called [scenes] now".to_owned())
+            .into_iter()
+            .chain(old.map(|(old, new)| format!("train.{old} is called train.{new} now")))
+            .collect();
         if told.is_empty() { Ok(toml::from_str(text)?) } else { Err(ParseError::Renamed { told }) }
     }
 
@@ -125,7 +129,7 @@ impl Config {
         self.grid.validate()?;
         self.buildings.validate()?;
         self.filter.validate()?;
-        self.scene.validate()?;
+        self.scenes.validate()?;
         self.rsrp.validate()?;
         self.shard.validate(&self.grid)?;
         self.split.validate()?;
@@ -172,6 +176,8 @@ mod tests {
             error.to_string(),
             "train.replay is called train.buffer_size now; train.warmup is called train.learning_starts now"
         );
+        let error = Config::parse("[scene]\nseed = 1").expect_err("old");
+        assert_eq!(error.to_string(), "[scene] is called [scenes] now");
         let known = toml::Table::try_from(TrainConfig::default()).expect("a table");
         for (old, new) in train::RENAMED {
             let new = new.split_whitespace().next().expect("a name");

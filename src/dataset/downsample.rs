@@ -7,8 +7,8 @@ use ndarray::{Array2, ArrayView2, s};
 
 use crate::config::{HeightDownsampling, RsrpDownsampling};
 use crate::manifest::ErrorGrids;
-use crate::radio_map::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 use crate::reliability::{relative_std_error, std_error_db};
+use crate::rsrp::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 use crate::units::Dbm;
 
 /// Heights of blocks of `factor` × `factor` cells.
@@ -140,12 +140,12 @@ pub fn downsample_errors(
     }
 }
 
-type Block = (std::ops::Range<usize>, std::ops::Range<usize>);
+type CellBlock = (std::ops::Range<usize>, std::ops::Range<usize>);
 
 fn blocks<T>(
     (rows, columns): (usize, usize),
     factor: usize,
-    mut of_block: impl FnMut(Block) -> T,
+    mut of_block: impl FnMut(CellBlock) -> T,
 ) -> Array2<T> {
     let whole = rows % factor == 0 && columns % factor == 0;
     assert!(whole, "{rows} × {columns} cells are no whole blocks of {factor}");

@@ -7,10 +7,11 @@
 use ndarray::{Array2, Zip};
 use serde_bytes::ByteBuf;
 
-use super::record::{Grids, Record, RecordError};
+use super::grids::{Grids, RecordError, matrix};
 use crate::manifest::ErrorGrids;
-use crate::radio_map::{MASK_REACHED, MASK_UNREACHED};
+use crate::rsrp::{MASK_REACHED, MASK_UNREACHED};
 use crate::store::npy_bytes;
+use crate::units::Dbm;
 
 /// What a level without any path is stored as; it is read as the record's floor.
 const NO_LEVEL: i16 = i16::MIN;
@@ -28,9 +29,18 @@ pub(super) struct Packed {
     pub(super) first_half_share: Option<ByteBuf>,
 }
 
+/// The same, of a record that is read.
+#[derive(Clone, Copy)]
+pub(super) struct PackedRef<'a> {
+    pub(super) rsrp_dbm: &'a [u8],
+    pub(super) std_error_db: &'a [u8],
+    pub(super) first_half_share: Option<&'a [u8]>,
+    pub(super) floor_dbm: Dbm,
+}
+
 /// Packs levels and errors; a cell at the floor that is no reached one has no level.
-pub(super) fn pack(record: &Record, grids: &Grids, errors: &ErrorGrids) -> Packed {
-    let floor = (record.floor_dbm.0 as f32).to_bits();
+pub(super) fn pack(floor_dbm: Dbm, grids: &Grids, errors: &ErrorGrids) -> Packed {
+    let floor = (floor_dbm.0 as f32).to_bits();
     let mut levels = Array2::from_elem(grids.mask.raw_dim(), NO_LEVEL);
     Zip::from(&mut levels)
         .and(&grids.rsrp_dbm)
@@ -71,24 +81,22 @@ fn in_steps(rsrp: f32) -> i16 {
 /// # Errors
 /// [`RecordError`] names the array, and a reached cell without a level.
 pub(super) fn unpack(
-    record: &Record,
+    packed: PackedRef<'_>,
     mask: &Array2<u8>,
 ) -> Result<(Array2<f32>, ErrorGrids), RecordError> {
     let cells = mask.nrows();
-    let levels: Array2<i16> = Record::matrix("rsrp_dbm", &record.rsrp_dbm, cells)?;
+    let levels: Array2<i16> = matrix("rsrp_dbm", packed.rsrp_dbm, cells)?;
     let lacking =
         levels.indexed_iter().find(|&(at, &level)| level == NO_LEVEL && mask[at] == MASK_REACHED);
     if let Some((at, _)) = lacking {
         return Err(wrong("rsrp_dbm", "no level", at, "a level where mask is 0"));
     }
-    let floor = record.floor_dbm.0 as f32;
+    let floor = packed.floor_dbm.0 as f32;
     let rsrp_dbm =
         levels.mapv(|level| if level == NO_LEVEL { floor } else { f32::from(level) / STEPS });
-    let errors = record.std_error_db.as_ref().map_or(&[][..], |bytes| bytes);
-    let errors: Array2<u16> = Record::matrix("std_error_db", errors, cells)?;
-    let half = record.first_half_share.as_ref();
-    let half =
-        half.map(|bytes| Record::matrix::<u8>("first_half_share", bytes, cells)).transpose()?;
+    let errors: Array2<u16> = matrix("std_error_db", packed.std_error_db, cells)?;
+    let half = packed.first_half_share;
+    let half = half.map(|bytes| matrix::<u8>("first_half_share", bytes, cells)).transpose()?;
     let errors = ErrorGrids {
         std_error_db: errors.mapv(|error| f32::from(error) / STEPS),
         first_half_share: half.map(|shares| shares.mapv(|share| f32::from(share) / SHARES)),
@@ -124,6 +132,7 @@ fn wrong(field: &'static str, found: &str, at: (usize, usize), expected: &str) -
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::record::Record;
     use super::*;
     use crate::dataset::example;
     use ndarray::array;

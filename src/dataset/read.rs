@@ -1,109 +1,25 @@
 //! Reading a dataset's records, by name or one after the other.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use super::place::Place;
-use super::record::{Grids, Record, RecordError};
-use super::shard::{ShardReader, unreadable};
+use super::error::{ReadError, unreadable};
+use super::grids::{Grids, RecordError};
+use super::location::Location;
+use super::record::Record;
+use super::shard_reader::ShardReader;
 use crate::config::{RemoteConfig, Split};
-use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{DatasetManifest, IndexEntry, ManifestError, ShardEntry, parse};
-#[cfg(feature = "remote")]
-use crate::store::RemoteError;
 use crate::store::{
     Digest, FrameBuffer, MANIFEST, SUMS, SeekError, parse_sums, sha256_bytes, stays_inside,
 };
-
-/// Why a record cannot be read.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReadError {
-    /// The manifest cannot be used.
-    #[error(transparent)]
-    Manifest(#[from] ManifestError),
-    /// A dataset on a server cannot be had.
-    #[cfg(feature = "remote")]
-    #[error(transparent)]
-    Remote(#[from] RemoteError),
-    /// This program reads directories only.
-    #[cfg(not(feature = "remote"))]
-    #[error("{url}: this program was built without the feature `remote`, which reads addresses")]
-    NoRemote {
-        /// The address.
-        url: String,
-    },
-    /// A shard is damaged.
-    #[error("{}: {source}", shard.display())]
-    Shard {
-        /// The file.
-        shard: PathBuf,
-        /// What is wrong.
-        source: SeekError,
-    },
-    /// A record is damaged.
-    #[error("{}: frame {frame}: {source}", shard.display())]
-    Record {
-        /// The file.
-        shard: PathBuf,
-        /// Index of the frame, from 0.
-        frame: usize,
-        /// What is wrong.
-        source: RecordError,
-    },
-    /// No record of this name.
-    #[error("no record {id} in the dataset, which has {records}, for instance {example}")]
-    Unknown {
-        /// What was asked for.
-        id: TileId,
-        /// Number of records.
-        records: usize,
-        /// A record that exists.
-        example: String,
-    },
-}
-
-impl HasFault for ReadError {
-    fn fault(&self) -> Fault {
-        match self {
-            Self::Manifest(error) => error.fault(),
-            #[cfg(feature = "remote")]
-            Self::Remote(error) => error.fault(),
-            Self::Shard { source: SeekError::Io(_), .. } if !self.is_damage() => Fault::Running,
-            _ => Fault::Input,
-        }
-    }
-}
-
-impl ReadError {
-    /// Whether a record or its shard is damaged or missing: nothing that another try, a key or a
-    /// larger cache would mend.
-    #[must_use]
-    pub fn is_damage(&self) -> bool {
-        match self {
-            Self::Shard { source: SeekError::Io(error), .. } => {
-                matches!(error.kind(), ErrorKind::NotFound | ErrorKind::UnexpectedEof)
-            }
-            Self::Shard { .. } | Self::Record { .. } => true,
-            #[cfg(feature = "remote")]
-            Self::Remote(error) => matches!(
-                error,
-                RemoteError::Damaged { .. }
-                    | RemoteError::Size { .. }
-                    | RemoteError::NotFound { .. }
-            ),
-            _ => false,
-        }
-    }
-}
 
 /// A dataset that is open for reading.
 #[derive(Debug)]
 pub struct Dataset {
     root: PathBuf,
-    place: Place,
+    place: Location,
     manifest: DatasetManifest,
     digest: Digest,
     index: BTreeMap<TileId, IndexEntry>,
@@ -116,7 +32,7 @@ impl Dataset {
     /// # Errors
     /// [`ReadError::Manifest`], also for a build that was interrupted.
     pub fn open(root: &Path) -> Result<Self, ReadError> {
-        Self::of(Place::Directory(root.to_owned()), root)
+        Self::of(Location::Directory(root.to_owned()), root)
     }
 
     /// As [`Dataset::open`], or with the feature `remote` at `http(s)://` or `s3://`: the manifest is
@@ -125,14 +41,13 @@ impl Dataset {
     /// # Errors
     /// As [`Dataset::open`], and if the server or the cache fails.
     pub fn open_with(location: &Path, config: &RemoteConfig) -> Result<Self, ReadError> {
-        Self::of(Place::of(location, config)?, location)
+        Self::of(Location::of(location, config)?, location)
     }
 
-    fn of(place: Place, location: &Path) -> Result<Self, ReadError> {
+    fn of(place: Location, location: &Path) -> Result<Self, ReadError> {
         let bytes = place.read(MANIFEST)?;
         let path = location.join(MANIFEST);
-        let schema = DatasetManifest::SCHEMA;
-        let manifest: DatasetManifest = parse(&bytes, &path, "shard", schema)?;
+        let manifest: DatasetManifest = parse(&bytes, &path)?;
         let digest = sha256_bytes(&bytes);
         let sums = place.read(SUMS)?;
         check(&manifest, &digest, &String::from_utf8_lossy(&sums))

@@ -4,17 +4,17 @@
 //! A record of a map that was traced once has schema `record.v1`. One of a map of several repeats has
 //! schema `record.v2`: errors beside the levels, both as integers (`packed`). Both are read alike.
 
-use ndarray::Array2;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 
-use super::packed::{self, Packed};
+use super::grids::{Grids, RecordError, matrix};
+use super::packed::{self, Packed, PackedRef};
 use crate::config::Split;
 use crate::grid::TileId;
-use crate::manifest::{BaseStation, BuiltBySource, ErrorGrids, Radio, SourceMap};
-use crate::radio_map::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
-use crate::store::{Element, NpyError, npy_bytes, read_npy};
+use crate::manifest::{BaseStation, BuiltBySource, Radio, SourceMap};
+use crate::rsrp::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
+use crate::store::npy_bytes;
 use crate::units::Dbm;
 
 /// Where a record comes from.
@@ -93,46 +93,6 @@ pub struct Record {
     pub provenance: Provenance,
 }
 
-/// The arrays of a record, `[n, n]`, row 0 north, column 0 west.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Grids {
-    /// Heights in metres.
-    pub height_m: Array2<f32>,
-    /// RSRP in dBm per resource element.
-    pub rsrp_dbm: Array2<f32>,
-    /// 0 outdoor reached, 1 building, 2 outdoor unreached.
-    pub mask: Array2<u8>,
-    /// Errors of the levels, where the map has several repeats.
-    pub errors: Option<ErrorGrids>,
-}
-
-/// Why bytes are no record, or no sound one.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RecordError {
-    /// No MessagePack of this schema.
-    #[error("no record of schema record.v1 or record.v2: {0}")]
-    Encoding(String),
-    /// An array is damaged.
-    #[error("array {field}: {source}")]
-    Array {
-        /// The field.
-        field: &'static str,
-        /// What is wrong with it.
-        source: NpyError,
-    },
-    /// Values that contradict the schema's meaning.
-    #[error("{field}: found {found}, expected {expected}")]
-    Value {
-        /// The field.
-        field: &'static str,
-        /// What is there.
-        found: String,
-        /// What should be.
-        expected: String,
-    },
-}
-
 impl Record {
     /// The value of `schema` without errors.
     pub const SCHEMA: &'static str = "record.v1";
@@ -149,7 +109,7 @@ impl Record {
         self.mask = ByteBuf::from(npy_bytes(&grids.mask));
         (self.std_error_db, self.first_half_share) = (None, None);
         if let Some(errors) = &grids.errors {
-            let packed = packed::pack(&self, grids, errors);
+            let packed = packed::pack(self.floor_dbm, grids, errors);
             let Packed { rsrp_dbm, std_error_db, first_half_share } = packed;
             Self::SCHEMA_WITH_ERRORS.clone_into(&mut self.schema);
             self.rsrp_dbm = rsrp_dbm;
@@ -221,38 +181,19 @@ impl Record {
         )))
     }
 
-    /// One of the arrays.
-    pub(super) fn matrix<T: Element>(
-        field: &'static str,
-        bytes: &[u8],
-        cells: usize,
-    ) -> Result<Array2<T>, RecordError> {
-        let array: Array2<T> = read_npy(bytes)
-            .and_then(|npy| npy.to_array2())
-            .map_err(|source| RecordError::Array { field, source })?;
-        if array.dim() == (cells, cells) {
-            return Ok(array);
-        }
-        Err(RecordError::Value {
-            field,
-            found: format!("shape {:?}", array.dim()),
-            expected: format!("{:?}", (cells, cells)),
-        })
-    }
-
     /// The arrays, each a square matrix of `cells` × `cells`.
     ///
     /// # Errors
     /// [`RecordError::Array`] and [`RecordError::Value`].
     pub fn grids(&self, cells: usize) -> Result<Grids, RecordError> {
-        let height_m = Self::matrix("height_m", &self.height_m, cells)?;
+        let height_m = matrix("height_m", &self.height_m, cells)?;
         if self.schema == Self::SCHEMA_WITH_ERRORS {
-            let mask = Self::matrix("mask", &self.mask, cells)?;
-            let (rsrp_dbm, errors) = packed::unpack(self, &mask)?;
+            let mask = matrix("mask", &self.mask, cells)?;
+            let (rsrp_dbm, errors) = packed::unpack(self.packed(), &mask)?;
             return Ok(Grids { height_m, rsrp_dbm, mask, errors: Some(errors) });
         }
-        let rsrp_dbm = Self::matrix("rsrp_dbm", &self.rsrp_dbm, cells)?;
-        let mask = Self::matrix("mask", &self.mask, cells)?;
+        let rsrp_dbm = matrix("rsrp_dbm", &self.rsrp_dbm, cells)?;
+        let mask = matrix("mask", &self.mask, cells)?;
         Ok(Grids { height_m, rsrp_dbm, mask, errors: None })
     }
 
@@ -280,6 +221,16 @@ impl Record {
         }
         packed::check(&grids)?;
         Ok(grids)
+    }
+
+    /// The arrays of a record with errors.
+    fn packed(&self) -> PackedRef<'_> {
+        PackedRef {
+            rsrp_dbm: &self.rsrp_dbm,
+            std_error_db: self.std_error_db.as_ref().map_or(&[][..], |bytes| bytes),
+            first_half_share: self.first_half_share.as_ref().map(|bytes| &bytes[..]),
+            floor_dbm: self.floor_dbm,
+        }
     }
 
     /// What is wrong with a cell: its place, height, RSRP and mask.

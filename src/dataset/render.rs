@@ -4,8 +4,9 @@ use colorous::{INFERNO, VIRIDIS};
 use font8x8::UnicodeFonts;
 use ndarray::Array2;
 
-use super::record::{Grids, Record};
-use crate::radio_map::{MASK_BUILDING, MASK_REACHED};
+use super::grids::Grids;
+use super::record::Record;
+use crate::rsrp::{MASK_BUILDING, MASK_REACHED};
 use crate::units::Dbm;
 
 type Rgb = [u8; 3];

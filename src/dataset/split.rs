@@ -35,7 +35,7 @@ pub fn assign_splits(tiles: &[TileId], grid: &GridConfig, config: &SplitConfig) 
     }
     let mut kept = BTreeMap::new();
     let mut dropped = Vec::new();
-    let mut neighbours = Neighbours::new(apart_m.max(grid.side_m));
+    let mut neighbours = NearTiles::new(apart_m.max(grid.side_m));
     let mut overlapping_tile_pairs = 0;
     for split in PRIORITY {
         let candidates = by_split.remove(&split).unwrap_or_default();
@@ -84,12 +84,12 @@ fn draw(seed: u64, epsg: u32, [column, row]: [i64; 2]) -> f64 {
 }
 
 /// Tiles in square buckets at least as wide as the largest window that is asked about.
-struct Neighbours {
+struct NearTiles {
     side: i64,
     buckets: HashMap<[i64; 2], Vec<TileId>>,
 }
 
-impl Neighbours {
+impl NearTiles {
     fn new(side_m: u32) -> Self {
         Self { side: i64::from(side_m), buckets: HashMap::new() }
     }

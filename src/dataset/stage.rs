@@ -11,19 +11,20 @@ use serde_bytes::ByteBuf;
 use super::card;
 use super::croissant;
 use super::downsample::{downsample_errors, downsample_heights, downsample_rsrp};
-use super::record::{Grids, Provenance, Record, RecordError};
+use super::grids::{Grids, RecordError};
+use super::record::{Provenance, Record};
 use super::split::assign_splits;
 use super::statistics;
 use crate::config::{Config, Split};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::manifest::{
-    DatasetConfig, DatasetManifest, Dropped, IndexEntry, ManifestError, MapEntry, RsrpFile,
-    RsrpManifest, ShardEntry, Software, SplitStatistics, StageFileError, TileEntry, TileFile,
-    TilesManifest, fingerprint, load, to_json,
+    DatasetConfig, DatasetManifest, Dropped, IndexEntry, Manifest, ManifestError, MapEntry,
+    RsrpFile, RsrpManifest, ShardEntry, Software, SplitStatistics, StageFileError, TileEntry,
+    TileFile, TilesManifest, fingerprint, load, to_json,
 };
 use crate::progress::Progress;
-use crate::radio_map::{MASK_BUILDING, MASK_UNREACHED};
+use crate::rsrp::{MASK_BUILDING, MASK_UNREACHED};
 use crate::store::{
     Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
     SeekableWriter, compress_frame, sha256_bytes,
@@ -130,7 +131,7 @@ struct DoneShard {
 }
 
 /// Everything that making a record needs to know.
-struct Context<'a> {
+struct ShardContext<'a> {
     job: ShardJob<'a>,
     tiles: BTreeMap<TileId, &'a TileEntry>,
     maps: BTreeMap<TileId, &'a MapEntry>,
@@ -148,13 +149,12 @@ struct PlannedShard {
 ///
 /// # Errors
 /// [`ShardError`]; the directory then holds no manifest.
-pub fn build_dataset(
+pub fn shard(
     job: ShardJob<'_>,
     progress: &dyn Progress,
 ) -> Result<Built<DatasetManifest>, ShardError> {
-    let (tiles, tiles_digest) =
-        load::<TilesManifest>(job.tiles, "rasterise", TilesManifest::SCHEMA)?;
-    let (rsrp, rsrp_digest) = load::<RsrpManifest>(job.rsrp, "import-rsrp", RsrpManifest::SCHEMA)?;
+    let (tiles, tiles_digest) = load::<TilesManifest>(job.tiles)?;
+    let (rsrp, rsrp_digest) = load::<RsrpManifest>(job.rsrp)?;
     if rsrp.tiles_manifest_sha256 != tiles_digest.sha256 {
         let (expected, found) = (rsrp.tiles_manifest_sha256, tiles_digest.sha256);
         return Err(ShardError::OtherTiles { expected, found });
@@ -183,7 +183,7 @@ pub fn build_dataset(
     let ids: Vec<TileId> = rsrp.maps.iter().map(|map| map.id).collect();
     let splits = assign_splits(&ids, &config.grid, &config.split);
     let plan = plan(&splits.kept, &config);
-    let context = Context {
+    let context = ShardContext {
         job,
         tiles: tiles.tiles.iter().map(|entry| (entry.id, entry)).collect(),
         maps: rsrp.maps.iter().map(|entry| (entry.id, entry)).collect(),
@@ -276,7 +276,7 @@ fn index(plan: &[PlannedShard]) -> Vec<IndexEntry> {
 
 fn build_shard(
     shard: &PlannedShard,
-    context: &Context<'_>,
+    context: &ShardContext<'_>,
     item: Item<'_>,
 ) -> Result<Finished<DoneShard>, ShardError> {
     let frames = shard
@@ -313,9 +313,9 @@ fn build_shard(
 fn build_record(
     id: TileId,
     split: Split,
-    context: &Context<'_>,
+    context: &ShardContext<'_>,
 ) -> Result<(Record, SplitStatistics), ShardError> {
-    let Context { job, config, .. } = context;
+    let ShardContext { job, config, .. } = context;
     let (tile_entry, map_entry) = (context.tiles[&id], context.maps[&id]);
     let tile = TileFile::read(job.tiles, tile_entry)?;
     let map = RsrpFile::read(job.rsrp, map_entry)?;

@@ -1,11 +1,12 @@
 //! Figures of a split, added up record by record; integers, so the order does not matter.
 
-use super::record::{Grids, Record};
+use super::grids::Grids;
+use super::record::Record;
 use crate::manifest::{
     DatasetManifest, MaskCounts, Reliability, RsrpHistogram, ShiftHistogram, SplitStatistics,
 };
-use crate::radio_map::{MASK_BUILDING, MASK_REACHED};
 use crate::reliability::{HOLE_THRESHOLD, HoleModel, SURE};
+use crate::rsrp::{MASK_BUILDING, MASK_REACHED};
 use crate::units::Dbm;
 
 const FIRST_DBM: i32 = -200;
@@ -72,7 +73,7 @@ fn reliability(record: &Record, grids: &Grids) -> Option<Reliability> {
 }
 
 /// Adds the figures of `more` records to a sum, which begins empty.
-pub(super) fn add(sum: &mut Option<SplitStatistics>, more: &SplitStatistics) {
+pub(crate) fn add(sum: &mut Option<SplitStatistics>, more: &SplitStatistics) {
     let Some(sum) = sum else {
         *sum = Some(more.clone());
         return;

@@ -4,8 +4,10 @@ use ndarray::Array2;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::read::{Dataset, ReadError};
-use super::record::{Grids, Record};
+use super::error::ReadError;
+use super::grids::Grids;
+use super::read::Dataset;
+use super::record::Record;
 use super::statistics::{hole_share, reliability_of, statistics_of, unsure_share};
 use crate::manifest::{DatasetManifest, ErrorGrids, IndexEntry, SplitStatistics};
 

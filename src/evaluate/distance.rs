@@ -1,7 +1,6 @@
 //! Where holes lie: the paper's second claim is that they are close to walls.
 
 use super::bootstrap::Bootstrap;
-use super::map::MapResult;
 use super::report::DistanceFigures;
 use crate::rl::{Cell, World, wall_distances_m};
 
@@ -39,14 +38,14 @@ pub(super) fn by_distance(
     counts
 }
 
-/// The classes of all maps together.
-pub(super) fn figures(maps: &[MapResult], bootstrap: &Bootstrap) -> Vec<DistanceFigures> {
+/// The classes of all maps together, from what [`by_distance`] counted on each.
+pub(super) fn figures(maps: &[&[DistanceCount]], bootstrap: &Bootstrap) -> Vec<DistanceFigures> {
     let class = |at: usize| {
         let of_maps = |value: &dyn Fn(&DistanceCount) -> Option<f64>| {
-            let values = maps.iter().map(|map| value(map.distances.get(at)?));
+            let values = maps.iter().map(|map| value(map.get(at)?));
             values.collect::<Vec<_>>()
         };
-        let counts = || maps.iter().filter_map(|map| map.distances.get(at));
+        let counts = || maps.iter().filter_map(|map| map.get(at));
         let cells = of_maps(&|count| Some(count.cells as f64));
         let holes = of_maps(&|count| Some(count.holes as f64));
         let expected = of_maps(&|count| count.expected);
@@ -79,8 +78,7 @@ mod tests {
         let chance = |_: Cell| 0.25;
         let counts = by_distance(&world, &outdoors, Some(&chance));
         assert_eq!([counts[1].expected, counts[3].expected], [Some(3.0), Some(0.0)]);
-        let map = MapResult { distances: counts, ..MapResult::default() };
-        let figures = figures(&[map, MapResult::default()], &Bootstrap::new(2, 100, 1));
+        let figures = figures(&[&counts, &[]], &Bootstrap::new(2, 100, 1));
         assert_eq!((figures[2].from_m, figures[2].to_m, figures[10].to_m), (8.0, Some(12.0), None));
         assert_eq!(figures[2].hole_share.map(|share| share.mean), Some(0.5));
         assert_eq!(figures[2].expected_hole_share.map(|share| share.mean), Some(0.25));

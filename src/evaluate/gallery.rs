@@ -4,7 +4,8 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde::Serialize;
 
-use super::map::{Flying, MapResult, Scene};
+use super::map::{MapResult, Scene};
+use super::methods::Flying;
 use super::track::Track;
 use crate::config::{Method, Split};
 use crate::grid::TileId;

@@ -21,7 +21,7 @@ type Belongs = fn(f64) -> bool;
 
 /// Maps that are judged together, by their positions in the list of maps.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Members {
+pub(super) struct GroupMembers {
     pub(super) kind: GroupKind,
     pub(super) name: String,
     pub(super) maps: Vec<usize>,
@@ -55,9 +55,9 @@ const BY_FOOTPRINT: [(&str, Belongs); 4] = [
 ];
 
 /// All groups that have a map: by share of holes, density, height and size of buildings, region.
-pub(super) fn groups(ids: &[TileId], traits: &[Traits]) -> Vec<Members> {
+pub(super) fn groups(ids: &[TileId], traits: &[Traits]) -> Vec<GroupMembers> {
     let strata = |kind, strata: &[(&str, Belongs)], value: fn(&Traits) -> f64| {
-        let members = |&(name, belongs): &(&str, Belongs)| Members {
+        let members = |&(name, belongs): &(&str, Belongs)| GroupMembers {
             kind,
             name: name.to_owned(),
             maps: (0..ids.len()).filter(|&map| belongs(value(&traits[map]))).collect(),
@@ -70,7 +70,7 @@ pub(super) fn groups(ids: &[TileId], traits: &[Traits]) -> Vec<Members> {
         strata(GroupKind::Height, &BY_HEIGHT, |of| of.buildings.mean_height_m),
         strata(GroupKind::Footprint, &BY_FOOTPRINT, |of| of.buildings.mean_footprint_m2),
     ];
-    let by_region = regions(ids).into_iter().map(|maps| Members {
+    let by_region = regions(ids).into_iter().map(|maps| GroupMembers {
         kind: GroupKind::Region,
         name: region_name(ids, &maps),
         maps,

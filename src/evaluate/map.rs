@@ -4,13 +4,11 @@ use std::sync::OnceLock;
 
 use super::buildings::{Buildings, buildings};
 use super::distance::{DistanceCount, by_distance};
-use super::fitted::Fitted;
 use super::labels::{Labels, LabelsOnMap, is_sure, is_sure_hole};
-use super::methods;
+use super::methods::{self, Flying};
 use super::report::Difficulty;
-use super::track::{Place, Track, fly};
-use crate::config::{Config, EvaluateConfig, Method};
-use crate::rl::policy::MakePolicy;
+use super::track::{Airspace, Track, fly};
+use crate::config::{EvaluateConfig, Method};
 use crate::rl::{Cell, Hops, Random, Sight, World};
 
 const NOISE: u64 = 3;
@@ -43,10 +41,10 @@ impl Scene {
     }
 
     /// What a method flies in: the oracle knows the truth, and measures without error.
-    fn place<'a>(&'a self, method: Method, sight: &'a Sight) -> Place<'a> {
+    fn place<'a>(&'a self, method: Method, sight: &'a Sight) -> Airspace<'a> {
         let truth = &self.truth;
         let stored = self.stored.as_ref().filter(|_| method != Method::Oracle);
-        Place { truth, known: stored.unwrap_or(truth), sight }
+        Airspace { truth, known: stored.unwrap_or(truth), sight }
     }
 
     fn hops(&self, sight: &Sight) -> &Hops {
@@ -78,17 +76,6 @@ impl Scene {
         let truth = Truth { world: &self.truth, labels: self.labels.as_ref() };
         judge(truth, &tracks, methods::steps(method, config), config)
     }
-}
-
-/// What is the same on all maps.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Flying<'a> {
-    pub(super) sight: &'a Sight,
-    pub(super) config: &'a Config,
-    /// What flies the method `agent`.
-    pub(super) agent: Option<&'a dyn MakePolicy>,
-    /// What was learned for the methods that learn.
-    pub(super) fitted: &'a Fitted,
 }
 
 /// Precision and recall on one map.

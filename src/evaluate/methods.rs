@@ -1,13 +1,13 @@
 //! The methods by name: what they are told, where they start, which policy moves them.
 
-use super::map::Flying;
+use super::fitted::Fitted;
 use super::report::{Knows, MethodInfo};
-use super::track::Place;
-use crate::config::{EvaluateConfig, Method};
+use super::track::Airspace;
+use crate::config::{Config, EvaluateConfig, Method};
 use crate::rl::policy::{
     Descent, DescentStyle, MakePolicy, OptimalWay, Policy, RandomWalk, ShadowSeeker, WallWalk,
 };
-use crate::rl::{Cell, Hops, Random, World, neighbourhood};
+use crate::rl::{Cell, Hops, Random, Sight, World, neighbourhood};
 
 /// Streams of random numbers beside those of the methods.
 const STARTS: u64 = 1;
@@ -112,10 +112,21 @@ pub(super) fn info(method: Method, config: &EvaluateConfig) -> MethodInfo {
     MethodInfo { name: method, title, description, knows, multi_step: moves(method) }
 }
 
+/// What is the same on all maps.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Flying<'a> {
+    pub(super) sight: &'a Sight,
+    pub(super) config: &'a Config,
+    /// What flies the method `agent`.
+    pub(super) agent: Option<&'a dyn MakePolicy>,
+    /// What was learned for the methods that learn.
+    pub(super) fitted: &'a Fitted,
+}
+
 /// Where a method starts: for all but the neighbourhood methods the same random outdoor cells.
 /// BNP draws from the walls of the stored map, among cells that are really outdoors.
-pub(super) fn starts(method: Method, place: Place<'_>, config: &EvaluateConfig) -> Vec<Cell> {
-    let Place { truth, known, .. } = place;
+pub(super) fn starts(method: Method, place: Airspace<'_>, config: &EvaluateConfig) -> Vec<Cell> {
+    let Airspace { truth, known, .. } = place;
     let (stream, cells) = match method {
         Method::Neighbourhood(metres)
         | Method::BoundedGradient(metres)
@@ -169,7 +180,7 @@ pub(super) fn policy<'a>(
 }
 
 /// Keys the random numbers of a method on a map.
-pub(super) fn key(method: Method, place: Place<'_>, config: &EvaluateConfig) -> Vec<u64> {
+pub(super) fn key(method: Method, place: Airspace<'_>, config: &EvaluateConfig) -> Vec<u64> {
     let name = method.to_string();
     let name = name.bytes().map(u64::from);
     [config.seed].into_iter().chain(place.truth.key()).chain(name).collect()

@@ -31,3 +31,4 @@ pub use report::{
     Report, Score,
 };
 pub use stage::{EvaluateError, EvaluateJob, evaluate, precision};
+pub(crate) use tables::derived_tables;

@@ -10,7 +10,8 @@ use super::fitted::{FitError, Fitted};
 use super::gallery;
 use super::groups::overlapping_pairs;
 use super::labels::Labels;
-use super::map::{self, Flying, MapResult, MethodOnMap, Scene};
+use super::map::{self, MapResult, MethodOnMap, Scene};
+use super::methods::Flying;
 use super::report::{DatasetUsed, MapsUsed, Report};
 use super::summary::Results;
 use super::{figures, methods, page, tables};
@@ -18,7 +19,7 @@ use crate::config::{Config, Method, Split};
 use crate::dataset::{Dataset, ReadError};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
-use crate::manifest::{EvaluationManifest, Software, fingerprint, to_json};
+use crate::manifest::{EvaluationManifest, Manifest, Software, fingerprint, to_json};
 use crate::progress::Progress;
 use crate::rl::policy::MakePolicy;
 use crate::rl::{PoolError, Sight, World};
@@ -187,9 +188,10 @@ pub fn evaluate(job: EvaluateJob<'_>, progress: &dyn Progress) -> Result<Report,
     progress.end();
 
     output.write("report.json", &to_json(&report))?;
-    output.write("scores.csv", &tables::scores(&report))?;
+    for (name, table) in tables::derived_tables(&report) {
+        output.write(name, &table)?;
+    }
     output.write("maps.csv", &tables::maps(&ids, &maps, &config.evaluate))?;
-    output.write("distance.csv", &tables::distances(&report))?;
     output.write("NOTICE", notice(&report).as_bytes())?;
     output.complete(&to_json(&EvaluationManifest {
         schema: EvaluationManifest::SCHEMA.to_owned(),

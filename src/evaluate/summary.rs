@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::bootstrap::Bootstrap;
 use super::distance;
-use super::groups::{Members, Traits, groups};
+use super::groups::{GroupMembers, Traits, groups};
 use super::map::{MapResult, MapScore, counts};
 use super::methods;
 use super::report::{
@@ -147,7 +147,7 @@ impl Results<'_> {
         groups(self.ids, &traits).into_iter().map(|members| self.group(members, &traits)).collect()
     }
 
-    fn group(&self, Members { kind, name, maps }: Members, traits: &[Traits]) -> Group {
+    fn group(&self, GroupMembers { kind, name, maps }: GroupMembers, traits: &[Traits]) -> Group {
         let bootstrap = Bootstrap::new(maps.len(), self.config.bootstrap, self.config.seed);
         let scores = self.each_step(|at, method, k_at, k| {
             let mean = |value| {
@@ -201,7 +201,8 @@ impl Results<'_> {
 
     /// Holes by their distance to the nearest wall.
     pub(super) fn distances(&self, bootstrap: &Bootstrap) -> Vec<DistanceFigures> {
-        distance::figures(self.maps, bootstrap)
+        let counts: Vec<_> = self.maps.iter().map(|map| &*map.distances).collect();
+        distance::figures(&counts, bootstrap)
     }
 
     /// Something for each method and each of its k, in parallel.

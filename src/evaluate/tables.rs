@@ -27,8 +27,13 @@ fn csv<H: AsRef<[u8]>>(
     csv.into_inner().expect("writing to memory cannot fail")
 }
 
+/// The tables that follow from a report alone, by their names.
+pub(crate) fn derived_tables(report: &Report) -> [(&'static str, Vec<u8>); 2] {
+    [("scores.csv", scores(report)), ("distance.csv", distances(report))]
+}
+
 /// A row for each method, k and number of starts; what errors tell only where there are some.
-pub(super) fn scores(report: &Report) -> Vec<u8> {
+fn scores(report: &Report) -> Vec<u8> {
     let mut header = vec![
         "method",
         "k",
@@ -85,7 +90,7 @@ pub(super) fn scores(report: &Report) -> Vec<u8> {
 }
 
 /// A row for each distance to walls.
-pub(super) fn distances(report: &Report) -> Vec<u8> {
+fn distances(report: &Report) -> Vec<u8> {
     let mut header = vec!["from_m", "to_m", "cells", "holes"];
     header.extend(["hole_share", "hole_share_low", "hole_share_high"]);
     let has_errors = report.labels.is_some();

@@ -36,7 +36,7 @@ impl Track {
 
 /// What flights take place in.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place<'a> {
+pub(super) struct Airspace<'a> {
     /// The city as it is.
     pub(super) truth: &'a World,
     /// The city as the UAV has it stored, with the levels that it measures.
@@ -48,13 +48,13 @@ pub(super) struct Place<'a> {
 /// Flies from all starts, at most `most` steps each, step by step side by side. `key` keys the
 /// random numbers of the method on this map.
 pub(super) fn fly(
-    place: Place<'_>,
+    place: Airspace<'_>,
     policy: &dyn Policy,
     starts: &[Cell],
     most: u32,
     key: &[u64],
 ) -> Vec<Track> {
-    let Place { truth, known, sight } = place;
+    let Airspace { truth, known, sight } = place;
     let mut flights: Vec<Flight<'_>> =
         starts.iter().map(|&start| Flight::new(truth, known, sight, start)).collect();
     let mut randoms: Vec<Random> =

@@ -126,15 +126,20 @@ pub fn schema(directory: &Path) -> Option<String> {
     Some(value.get("schema")?.as_str()?.to_owned())
 }
 
+/// What a stage writes last, and with it vouches for its output.
+pub trait Manifest: DeserializeOwned {
+    /// The value of `schema`.
+    const SCHEMA: &'static str;
+    /// The command that writes it.
+    const COMMAND: &'static str;
+}
+
 /// Reads a directory's manifest, with its digest.
 ///
 /// # Errors
 /// [`ManifestError`]; an unknown field or another schema is an error.
-pub fn load<T: DeserializeOwned>(
-    directory: &Path,
-    stage: &'static str,
-    schema: &str,
-) -> Result<(T, Digest), ManifestError> {
+pub fn load<M: Manifest>(directory: &Path) -> Result<(M, Digest), ManifestError> {
+    let stage = M::COMMAND;
     let path = directory.join(MANIFEST);
     let bytes = match std::fs::read(&path) {
         Ok(bytes) => bytes,
@@ -143,19 +148,15 @@ pub fn load<T: DeserializeOwned>(
         }
         Err(error) => return Err(FileError::new("read", &path)(error).into()),
     };
-    Ok((parse(&bytes, &path, stage, schema)?, sha256_bytes(&bytes)))
+    Ok((parse(&bytes, &path)?, sha256_bytes(&bytes)))
 }
 
 /// Reads a manifest that was found at `path`.
 ///
 /// # Errors
 /// As [`load`].
-pub fn parse<T: DeserializeOwned>(
-    bytes: &[u8],
-    path: &Path,
-    stage: &'static str,
-    schema: &str,
-) -> Result<T, ManifestError> {
+pub fn parse<M: Manifest>(bytes: &[u8], path: &Path) -> Result<M, ManifestError> {
+    let (stage, schema) = (M::COMMAND, M::SCHEMA);
     let invalid = |reason: String| ManifestError::Invalid { path: path.to_owned(), reason, stage };
     let value: serde_json::Value =
         serde_json::from_slice(bytes).map_err(|error| invalid(format!("no JSON: {error}")))?;
@@ -173,7 +174,7 @@ mod tests {
     #[test]
     fn manifests_of_other_stages_and_missing_ones_are_told_apart() {
         let dir = tempfile::tempdir().expect("a directory");
-        let load_it = || load::<Software>(dir.path(), "rasterise", "tiles.v2");
+        let load_it = || load::<crate::manifest::TilesManifest>(dir.path());
         assert!(matches!(load_it(), Err(ManifestError::Absent { .. })));
         std::fs::write(dir.path().join(MANIFEST), r#"{"schema": "rsrp.v1"}"#).expect("written");
         let error = load_it().expect_err("another schema");

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{BuildingCounts, BuiltBySource, ImportInputs, Input, MaskCounts, Software};
+use super::{BuildingCounts, BuiltBySource, ImportInputs, Input, Manifest, MaskCounts, Software};
 use crate::building::{Action, Defect};
 use crate::config::{
     BuildingsConfig, FilterConfig, GridConfig, RsrpConfig, ShardConfig, Split, SplitConfig,
@@ -208,7 +208,7 @@ pub struct DatasetManifest {
     pub records: Vec<IndexEntry>,
 }
 
-impl DatasetManifest {
-    /// The value of `schema`.
-    pub const SCHEMA: &'static str = "dataset.v1";
+impl Manifest for DatasetManifest {
+    const SCHEMA: &'static str = "dataset.v1";
+    const COMMAND: &'static str = "shard";
 }

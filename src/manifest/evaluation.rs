@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Software;
+use super::{Manifest, Software};
 use crate::config::{EvaluateConfig, RlConfig};
 use crate::store::Digest;
 
@@ -31,7 +31,7 @@ pub struct EvaluationManifest {
     pub evaluate: EvaluateConfig,
 }
 
-impl EvaluationManifest {
-    /// The value of `schema`.
-    pub const SCHEMA: &'static str = "evaluation.v1";
+impl Manifest for EvaluationManifest {
+    const SCHEMA: &'static str = "evaluation.v1";
+    const COMMAND: &'static str = "evaluate";
 }

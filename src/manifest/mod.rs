@@ -15,7 +15,8 @@ mod tiles;
 
 pub(crate) use common::json_schema_with;
 pub use common::{
-    Input, ManifestError, Software, fingerprint, json_schema, load, parse, schema, to_json,
+    Input, Manifest, ManifestError, Software, fingerprint, json_schema, load, parse, schema,
+    to_json,
 };
 pub use dataset::{
     DatasetConfig, DatasetManifest, Dropped, IndexEntry, Release, Reliability, RsrpHistogram,

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Software;
+use super::{Manifest, Software};
 use crate::config::{RlConfig, TrainConfig};
 
 /// The manifest that `holescout export-policy` writes.
@@ -39,7 +39,12 @@ pub struct PolicyManifest {
     pub train: TrainConfig,
 }
 
+impl Manifest for PolicyManifest {
+    const SCHEMA: &'static str = "policy.v4";
+    const COMMAND: &'static str = "export-policy";
+}
+
 impl PolicyManifest {
-    /// The value of `schema`.
-    pub const SCHEMA: &'static str = "policy.v4";
+    /// Name of the file of weights.
+    pub const WEIGHTS: &'static str = "weights.safetensors";
 }

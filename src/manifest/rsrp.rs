@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Software;
+use super::{Manifest, Software};
 use crate::config::RsrpConfig;
 use crate::grid::TileId;
 use crate::store::Digest;
@@ -407,7 +407,7 @@ pub struct RsrpManifest {
     pub maps: Vec<MapEntry>,
 }
 
-impl RsrpManifest {
-    /// The value of `schema`.
-    pub const SCHEMA: &'static str = "rsrp.v1";
+impl Manifest for RsrpManifest {
+    const SCHEMA: &'static str = "rsrp.v1";
+    const COMMAND: &'static str = "import-rsrp";
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Software;
+use super::{Manifest, Software};
 use crate::config::{RlConfig, TrainConfig};
 use crate::store::Digest;
 
@@ -25,7 +25,21 @@ pub struct RunManifest {
     pub train: TrainConfig,
 }
 
+impl Manifest for RunManifest {
+    const SCHEMA: &'static str = "run.v1";
+    const COMMAND: &'static str = "train";
+}
+
+/// The layout of a run.
 impl RunManifest {
-    /// The value of `schema`.
-    pub const SCHEMA: &'static str = "run.v1";
+    /// Name of the file that it is in.
+    pub const FILE: &'static str = "run.json";
+    /// The directory of the last checkpoints, each named by its update.
+    pub const CHECKPOINTS: &'static str = "checkpoints";
+    /// The checkpoint with the best score.
+    pub const BEST: &'static str = "best";
+    /// In a checkpoint: configuration, counters, what was lived through.
+    pub const STATE: &'static str = "state.msgpack";
+    /// What was reported and judged.
+    pub const LOG: &'static str = "log.jsonl";
 }

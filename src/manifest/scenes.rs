@@ -1,9 +1,9 @@
-//! Manifest of scenes (`scenes.v1`) and the description inside each (`scene.v1`).
+//! Manifest of scenes (`scenes.v2`) and the description inside each (`scene.v1`).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Input, Software};
+use super::{Input, Manifest, Software};
 use crate::config::{BuildingsConfig, GridConfig, Material, SceneConfig};
 use crate::grid::TileId;
 use crate::store::Digest;
@@ -64,7 +64,7 @@ pub struct SitesInput {
     /// one mast.
     pub repeated: u64,
     /// Base stations that would have stood inside of a building and were raised over its roof, or
-    /// no higher than the receivers and were raised to `scene.ground_height_m`.
+    /// no higher than the receivers and were raised to `scenes.ground_height_m`.
     pub raised: u64,
 }
 
@@ -76,16 +76,16 @@ pub struct ScenesConfig {
     pub grid: GridConfig,
     /// `[buildings]`, that of the tiles.
     pub buildings: BuildingsConfig,
-    /// `[scene]`.
-    pub scene: SceneConfig,
+    /// `[scenes]`.
+    pub scenes: SceneConfig,
 }
 
 /// `SCENES/manifest.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScenesManifest {
-    /// Always `scenes.v1`.
-    #[schemars(extend("const" = "scenes.v1"))]
+    /// Always `scenes.v2`.
+    #[schemars(extend("const" = "scenes.v2"))]
     pub schema: String,
     /// SHA-256 over all that the output depends on.
     pub fingerprint: String,
@@ -118,9 +118,9 @@ pub struct ScenesManifest {
     pub scenes: Vec<SceneEntry>,
 }
 
-impl ScenesManifest {
-    /// The value of `schema`.
-    pub const SCHEMA: &'static str = "scenes.v1";
+impl Manifest for ScenesManifest {
+    const SCHEMA: &'static str = "scenes.v2";
+    const COMMAND: &'static str = "scenes";
 }
 
 /// A base station of a scene.

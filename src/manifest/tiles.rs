@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Input, Software};
+use super::{Input, Manifest, Software};
 use crate::building::{Action, Defect};
 use crate::config::{BuildingsConfig, FilterConfig, GridConfig};
 use crate::grid::TileId;
@@ -152,10 +152,12 @@ pub struct TilesManifest {
     pub tiles: Vec<TileEntry>,
 }
 
-impl TilesManifest {
-    /// The value of `schema`.
-    pub const SCHEMA: &'static str = "tiles.v2";
+impl Manifest for TilesManifest {
+    const SCHEMA: &'static str = "tiles.v2";
+    const COMMAND: &'static str = "rasterise";
+}
 
+impl TilesManifest {
     /// Objects with building tags that are buildings or have a row that says why not: as many as
     /// [`BuildingCounts::tagged`].
     #[must_use]

@@ -21,7 +21,7 @@ pub(super) struct Found {
 }
 
 /// Everything about a relation `type=building`.
-struct Group {
+struct RelationGroup {
     outlines: Vec<ObjectId>,
     parts: Vec<ObjectId>,
     /// A height that the relation tells.
@@ -29,7 +29,7 @@ struct Group {
 }
 
 /// What a relation becomes.
-struct Built {
+struct BuiltRelation {
     buildings: Vec<Building>,
     problems: Vec<Problem>,
     /// Its outer rings, as they were drawn.
@@ -45,7 +45,7 @@ pub(super) fn build(
     problems: &mut Vec<Problem>,
 ) -> Found {
     let tagged = tagged_outlines(ways, relations);
-    let from_relations: Vec<Built> = relations
+    let from_relations: Vec<BuiltRelation> = relations
         .par_iter()
         .map(|relation| build_relation(relation, &tagged, members, projector))
         .collect();
@@ -72,7 +72,7 @@ pub(super) fn build(
         })
         .collect();
 
-    let groups: Vec<Group> = relations
+    let groups: Vec<RelationGroup> = relations
         .iter()
         .filter(|relation| relation.kind == RelationKind::Building)
         .map(|relation| group(relation, &tagged))
@@ -137,9 +137,10 @@ fn build_relation(
     tagged: &HashSet<ObjectId>,
     members: &Members,
     projector: &Projector<'_>,
-) -> Built {
+) -> BuiltRelation {
     let object_id = ObjectId::Relation(relation.id);
-    let mut built = Built { buildings: Vec::new(), problems: Vec::new(), outers: Vec::new() };
+    let mut built =
+        BuiltRelation { buildings: Vec::new(), problems: Vec::new(), outers: Vec::new() };
     let Some(attributes) = relation.attributes else { return built };
     let mut defects = Vec::new();
     let is_tagged = |(member, _): &(MemberId, _)| tagged.contains(&object(*member));
@@ -185,7 +186,7 @@ fn by_height(object: ObjectId, attributes: Attributes, pieces: Vec<Piece>) -> Ve
 /// Whether a relation stands for one of its member ways that carries building tags itself:
 /// an outer ring would fill the relation's holes, a piece of a ring is no building.
 fn stands_for(
-    relation: &Built,
+    relation: &BuiltRelation,
     way: &RawWay,
     footprint: Result<&MultiPolygon<f64>, &Defect>,
 ) -> bool {
@@ -200,13 +201,13 @@ fn stands_for(
         }
 }
 
-fn group(relation: &RawRelation, tagged: &HashSet<ObjectId>) -> Group {
+fn group(relation: &RawRelation, tagged: &HashSet<ObjectId>) -> RelationGroup {
     let members = relation.members.iter().map(|(member, _)| object(*member));
     let mut outlines: Vec<ObjectId> = members.filter(|member| tagged.contains(member)).collect();
     if outlines.is_empty() && relation.attributes.is_some() {
         outlines.push(ObjectId::Relation(relation.id));
     }
-    Group {
+    RelationGroup {
         outlines,
         parts: relation.parts.iter().map(|&part| object(part)).collect(),
         told: relation.attributes.and_then(|attributes| attributes.told()),
@@ -214,7 +215,7 @@ fn group(relation: &RawRelation, tagged: &HashSet<ObjectId>) -> Group {
 }
 
 /// What neither an outline nor the parts of a group without one tell, their relation may.
-fn inherit_from_groups(buildings: &mut [Building], groups: &[Group]) {
+fn inherit_from_groups(buildings: &mut [Building], groups: &[RelationGroup]) {
     if groups.iter().all(|group| group.told.is_none()) {
         return;
     }

@@ -17,5 +17,5 @@ mod rings;
 mod scan;
 mod zone;
 
-pub use passes::{Extract, ReadError, read_buildings};
+pub use passes::{Extract, ExtractError, read_buildings};
 pub use pbf::PbfError;

@@ -10,7 +10,7 @@ use super::copies::{MemberWay, whole_members, whole_relations, whole_ways};
 use super::footprint::Role;
 use super::nodes::NodeTable;
 use super::pbf::{PbfError, PbfFile};
-use super::scan::{Finds, Order, RawRelation, RawWay, find_buildings};
+use super::scan::{FileOrder, Finds, RawRelation, RawWay, find_buildings};
 use super::zone;
 use crate::building::{Action, City, Defect, Kind, ObjectId, Problem, told_height};
 use crate::config::BuildingsConfig;
@@ -22,7 +22,7 @@ use crate::progress::Progress;
 /// Why no buildings could be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum ReadError {
+pub enum ExtractError {
     /// A file cannot be read.
     #[error(transparent)]
     Pbf(#[from] PbfError),
@@ -56,7 +56,7 @@ pub enum ReadError {
     },
 }
 
-impl HasFault for ReadError {
+impl HasFault for ExtractError {
     fn fault(&self) -> Fault {
         match self {
             Self::Pbf(error) => error.fault(),
@@ -97,14 +97,14 @@ struct Extracted {
 /// buildings.
 ///
 /// # Errors
-/// [`ReadError`]; defects of single objects are no errors but listed in the result.
+/// [`ExtractError`]; defects of single objects are no errors but listed in the result.
 pub fn read_buildings(
     files: &[PathBuf],
     config: &BuildingsConfig,
     epsg: Option<u32>,
     area: &Area,
     progress: &dyn Progress,
-) -> Result<Extract, ReadError> {
+) -> Result<Extract, ExtractError> {
     let open = files.iter().map(|path| PbfFile::open(path)).collect::<Result<Vec<_>, _>>()?;
     for file in &open {
         for feature in file.unknown_features() {
@@ -128,7 +128,7 @@ pub fn read_buildings(
 
     let of_most = || zone::of_most(&ways, &relations, &members, &nodes);
     let no_buildings =
-        || ReadError::NoBuildings { files: files.to_owned(), found: tagged as usize };
+        || ExtractError::NoBuildings { files: files.to_owned(), found: tagged as usize };
     let utm = match (epsg, area.middle()) {
         (Some(epsg), _) => Utm::from_epsg(epsg)?,
         (None, Some([lon, lat])) => Utm::of_place(lon, lat)?,
@@ -139,7 +139,9 @@ pub fn read_buildings(
     if buildings.is_empty() {
         let is_far = problems.iter().any(|problem| problem.defect == Defect::NotProjectable);
         return Err(match of_most() {
-            Some((_, [lon, lat])) if is_far => ReadError::Elsewhere { epsg: utm.epsg(), lon, lat },
+            Some((_, [lon, lat])) if is_far => {
+                ExtractError::Elsewhere { epsg: utm.epsg(), lon, lat }
+            }
             _ => no_buildings(),
         });
     }
@@ -170,7 +172,7 @@ fn read_tags(
         let node_blobs = blobs(&|finds| finds.has_nodes);
         let way_blobs = blobs(&|finds| finds.has_ways);
         let relation_blobs = blobs(&|finds| finds.has_relations);
-        let (mut order, ways_before) = (Order::default(), all.ways.len());
+        let (mut order, ways_before) = (FileOrder::default(), all.ways.len());
         let relations_before = all.relations.len();
         for find in finds {
             order.append(&find.order);

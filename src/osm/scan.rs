@@ -50,7 +50,7 @@ pub(super) struct Finds {
     pub(super) ways: Vec<RawWay>,
     pub(super) relations: Vec<RawRelation>,
     pub(super) problems: Vec<Problem>,
-    pub(super) order: Order,
+    pub(super) order: FileOrder,
 }
 
 /// Looks through a block.
@@ -151,7 +151,7 @@ impl Finds {
 /// The objects of a block in their order, as far as that tells whether the file holds several
 /// versions of one: in files that are sorted they follow each other.
 #[derive(Debug, Default)]
-pub(super) struct Order {
+pub(super) struct FileOrder {
     first: Option<(ObjectId, i32)>,
     last: Option<(ObjectId, i32)>,
     /// An object that follows another version of itself.
@@ -160,7 +160,7 @@ pub(super) struct Order {
     pub(super) is_mixed: bool,
 }
 
-impl Order {
+impl FileOrder {
     fn take(&mut self, group: &PrimitiveGroup) {
         for way in &group.ways {
             self.next(ObjectId::Way(way.id()), block::version(way.info.as_ref()));

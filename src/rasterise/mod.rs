@@ -12,5 +12,5 @@ mod unseen;
 
 pub use index::TileSource;
 pub use scanline::Scanline;
-pub use stage::{RasteriseError, TilesJob, build_tiles};
+pub use stage::{RasteriseError, RasteriseJob, rasterise};
 pub use tile::{HeightGrid, rasterise_tile};

@@ -14,10 +14,10 @@ use crate::config::{Config, FilterConfig, GridConfig};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::{Area, TileId};
 use crate::manifest::{
-    BuildingCounts, Input, Software, TileEntry, TileMeta, TileStatistics, TilesConfig,
+    BuildingCounts, Input, Manifest, Software, TileEntry, TileMeta, TileStatistics, TilesConfig,
     TilesManifest, Verdict, fingerprint, to_json,
 };
-use crate::osm::{Extract, ReadError, read_buildings};
+use crate::osm::{Extract, ExtractError, read_buildings};
 use crate::progress::Progress;
 use crate::store::{
     Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
@@ -35,7 +35,7 @@ const DEFLATE_LEVEL: i64 = 2;
 pub enum RasteriseError {
     /// The extracts cannot be used.
     #[error(transparent)]
-    Read(#[from] ReadError),
+    Read(#[from] ExtractError),
     /// The output directory cannot be used.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -83,7 +83,7 @@ impl From<FileError> for RasteriseError {
 
 /// What to rasterise and where to.
 #[derive(Debug, Clone, Copy)]
-pub struct TilesJob<'a> {
+pub struct RasteriseJob<'a> {
     /// Extracts; of an object in several, the whole copy is taken.
     pub osm: &'a [PathBuf],
     /// The part to cover.
@@ -110,8 +110,8 @@ struct Candidate {
 /// # Errors
 /// [`RasteriseError`]. The directory is not touched before the extracts have been read, and
 /// holds no manifest unless everything was written.
-pub fn build_tiles(
-    job: TilesJob<'_>,
+pub fn rasterise(
+    job: RasteriseJob<'_>,
     progress: &dyn Progress,
 ) -> Result<Built<TilesManifest>, RasteriseError> {
     let Config { grid, buildings, filter, .. } = job.config;

@@ -6,10 +6,10 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 
-use crate::dataset::VerifyFailure;
 use crate::error::FileError;
 use crate::progress::Progress;
 use crate::store::{Digest, MANIFEST, sha256_file};
+use crate::verify::VerifyFailure;
 
 /// Adds what is not the same to the failures; returns how many files were compared.
 pub(super) fn compare(

@@ -6,10 +6,10 @@ use crate::config::ConfigError;
 use crate::dataset::ShardError;
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::ManifestError;
-use crate::radio_map::ImportError;
 use crate::rasterise::RasteriseError;
 use crate::release::ReleaseError;
-use crate::scene::SceneError;
+use crate::rsrp::ImportRsrpError;
+use crate::scenes::ScenesError;
 
 /// Why an output cannot be built once more.
 #[derive(Debug, thiserror::Error)]
@@ -29,10 +29,10 @@ pub enum RebuildError {
     Rasterise(#[from] RasteriseError),
     /// The scenes cannot be built.
     #[error(transparent)]
-    Scene(#[from] SceneError),
+    Scene(#[from] ScenesError),
     /// The maps cannot be imported.
     #[error(transparent)]
-    Import(#[from] ImportError),
+    Import(#[from] ImportRsrpError),
     /// The shards cannot be built.
     #[error(transparent)]
     Shard(#[from] ShardError),

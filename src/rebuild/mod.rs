@@ -11,13 +11,13 @@ mod stages;
 
 use std::path::{Path, PathBuf};
 
-use crate::dataset::VerifyFailure;
 use crate::error::FileError;
 use crate::manifest::{
-    DatasetManifest, RsrpManifest, ScenesManifest, Software, TilesManifest, schema,
+    DatasetManifest, Manifest, RsrpManifest, ScenesManifest, Software, TilesManifest, schema,
 };
 use crate::progress::Progress;
 use crate::store::MANIFEST;
+use crate::verify::VerifyFailure;
 
 pub use error::RebuildError;
 

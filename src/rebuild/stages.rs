@@ -4,18 +4,19 @@ use std::path::{Path, PathBuf};
 
 use super::{GivenInputs, RebuildError, compare_software, inputs};
 use crate::config::{Config, GridConfig, RsrpConfig, ShardConfig};
-use crate::dataset::{ShardJob, VerifyFailure, build_dataset};
+use crate::dataset::{self, ShardJob};
 use crate::grid::Area;
 use crate::manifest::{
     DatasetConfig, DatasetManifest, ImportInputs, Input, Release, RsrpManifest, ScenesManifest,
     Software, TilesManifest, load,
 };
 use crate::progress::Progress;
-use crate::radio_map::{ImportJob, import_maps};
-use crate::rasterise::{TilesJob, build_tiles};
+use crate::rasterise::{RasteriseJob, rasterise};
 use crate::release::{DateError, ReleaseJob, Version, release};
-use crate::scene::{ScenesJob, build_scenes};
+use crate::rsrp::{ImportRsrpJob, import_rsrp};
+use crate::scenes::{ScenesJob, scenes};
 use crate::store::{BuildMode, MANIFEST, sha256_file};
+use crate::verify::VerifyFailure;
 
 /// Polygons as GeoJSON coordinates.
 type Coordinates = Vec<Vec<Vec<[f64; 2]>>>;
@@ -41,8 +42,7 @@ struct Traced<'a> {
 impl<'a> Bench<'a> {
     /// Tiles from extracts.
     pub(super) fn tiles(&mut self) -> Result<PathBuf, RebuildError> {
-        let (manifest, _) =
-            load::<TilesManifest>(self.directory, "rasterise", TilesManifest::SCHEMA)?;
+        let (manifest, _) = load::<TilesManifest>(self.directory)?;
         self.check_software(&manifest.software);
         let TilesManifest { config, inputs, area, .. } = manifest;
         let config = Config {
@@ -56,8 +56,7 @@ impl<'a> Bench<'a> {
 
     /// Scenes from tiles and extracts.
     pub(super) fn scenes(&mut self) -> Result<PathBuf, RebuildError> {
-        let (manifest, _) =
-            load::<ScenesManifest>(self.directory, "scenes", ScenesManifest::SCHEMA)?;
+        let (manifest, _) = load::<ScenesManifest>(self.directory)?;
         self.check_software(&manifest.software);
         let tiles = &manifest.tiles_manifest_sha256;
         let tiles = inputs::stage("tiles", "--tiles", tiles, self.given.tiles)?;
@@ -70,7 +69,7 @@ impl<'a> Bench<'a> {
             shard: counted_for(manifest.map_cell_m, &manifest.config.grid)?,
             grid: manifest.config.grid,
             buildings: manifest.config.buildings,
-            scene: manifest.config.scene,
+            scenes: manifest.config.scenes,
             ..Config::default()
         };
         config.validate()?;
@@ -83,26 +82,24 @@ impl<'a> Bench<'a> {
             out: &out,
             mode: BuildMode::default(),
         };
-        build_scenes(job, self.progress)?;
+        scenes(job, self.progress)?;
         Ok(out)
     }
 
     /// Imported maps from tiles and maps.
     pub(super) fn maps(&mut self) -> Result<PathBuf, RebuildError> {
-        let (manifest, _) =
-            load::<RsrpManifest>(self.directory, "import-rsrp", RsrpManifest::SCHEMA)?;
+        let (manifest, _) = load::<RsrpManifest>(self.directory)?;
         self.check_software(&manifest.software);
         let tiles = &manifest.tiles_manifest_sha256;
         let tiles = inputs::stage("tiles", "--tiles", tiles, self.given.tiles)?;
-        let (of_tiles, _) = load::<TilesManifest>(tiles, "rasterise", TilesManifest::SCHEMA)?;
+        let (of_tiles, _) = load::<TilesManifest>(tiles)?;
         let traced = self.traced(&manifest.inputs)?;
         self.import(&of_tiles.config.grid, &manifest.config, &traced, tiles)
     }
 
     /// A dataset from extracts and maps.
     pub(super) fn dataset(&mut self) -> Result<PathBuf, RebuildError> {
-        let (manifest, _) =
-            load::<DatasetManifest>(self.directory, "shard", DatasetManifest::SCHEMA)?;
+        let (manifest, _) = load::<DatasetManifest>(self.directory)?;
         self.check_software(&manifest.software);
         let DatasetConfig { grid, buildings, filter, rsrp, shard, split } = manifest.config;
         let config = Config { grid, buildings, filter, rsrp, shard, split, ..Config::default() };
@@ -119,7 +116,7 @@ impl<'a> Bench<'a> {
             out: &out,
             mode: BuildMode::default(),
         };
-        build_dataset(job, self.progress)?;
+        dataset::shard(job, self.progress)?;
         manifest.release.as_ref().map_or(Ok(out.clone()), |release| self.release(release, &out))
     }
 
@@ -157,8 +154,8 @@ impl<'a> Bench<'a> {
         let area = area.map_or(Area::Whole, |polygons| Area::from_coordinates(polygons));
         let out = self.scratch.join("tiles");
         let job =
-            TilesJob { osm: &osm, area: &area, config, out: &out, mode: BuildMode::default() };
-        build_tiles(job, self.progress)?;
+            RasteriseJob { osm: &osm, area: &area, config, out: &out, mode: BuildMode::default() };
+        rasterise(job, self.progress)?;
         Ok(out)
     }
 
@@ -189,7 +186,7 @@ impl<'a> Bench<'a> {
         };
         config.validate()?;
         let out = self.scratch.join("rsrp");
-        let job = ImportJob {
+        let job = ImportRsrpJob {
             maps: &traced.maps,
             tiles,
             scenes: traced.scenes,
@@ -197,7 +194,7 @@ impl<'a> Bench<'a> {
             out: &out,
             mode: BuildMode::default(),
         };
-        import_maps(job, self.progress)?;
+        import_rsrp(job, self.progress)?;
         Ok(out)
     }
 

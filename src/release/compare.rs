@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::diff::{Change, FileChanges};
+use super::changes::{Change, FileChanges};
 use crate::dataset::Record;
 
 /// The field of a record that holds its data's origin and not its data.

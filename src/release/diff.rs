@@ -8,9 +8,10 @@ use semver::Version;
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::changes::{Change, ChangedRecord, FileChanges, MovedRecord, RecordChanges};
 use super::charts::FOLDER;
 use super::compare::{PROVENANCE, changed_fields, changed_files, changed_keys, changes};
-use super::version::{Step, is_enough, least};
+use super::version::{VersionStep, is_enough, least};
 use crate::config::Split;
 use crate::dataset::{Dataset, ReadError};
 use crate::error::{Fault, FileError, HasFault};
@@ -60,66 +61,11 @@ pub struct Side {
     pub records: usize,
 }
 
-/// A value that differs; what is absent is `None`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Change {
-    /// Its name.
-    pub key: String,
-    /// In the first one.
-    pub old: Option<Value>,
-    /// In the second one.
-    pub new: Option<Value>,
-}
-
-/// A record that is in both with other values.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct ChangedRecord {
-    /// The record.
-    pub id: TileId,
-    /// The fields that differ.
-    pub fields: Vec<&'static str>,
-}
-
-/// A record that is in another split.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct MovedRecord {
-    /// The record.
-    pub id: TileId,
-    /// Its split in the first one.
-    pub from: Split,
-    /// Its split in the second one.
-    pub to: Split,
-}
-
-/// What happened to records.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct RecordChanges {
-    /// Only in the second one.
-    pub added: Vec<TileId>,
-    /// Only in the first one.
-    pub removed: Vec<TileId>,
-    /// In another split.
-    pub moved: Vec<MovedRecord>,
-    /// With other values; the split is told apart.
-    pub changed: Vec<ChangedRecord>,
-}
-
-/// What happened to files, by `SHA256SUMS`.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct FileChanges {
-    /// Only in the second one.
-    pub added: Vec<String>,
-    /// Only in the first one.
-    pub removed: Vec<String>,
-    /// With other bytes.
-    pub changed: Vec<String>,
-}
-
 /// Why a version must go as far as it must.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Reason {
     /// The step that this alone asks for.
-    pub step: Step,
+    pub step: VersionStep,
     /// What changed.
     pub text: String,
 }
@@ -142,7 +88,7 @@ pub struct Diff {
     /// Files.
     pub files: FileChanges,
     /// The step that a version must go.
-    pub step: Step,
+    pub step: VersionStep,
     /// What asks for it, the furthest step first.
     pub reasons: Vec<Reason>,
 }
@@ -189,11 +135,11 @@ pub(super) fn compare(
         inputs: changes(inputs(old), inputs(new)),
         facts: changes(facts(old), facts(new)),
         files,
-        step: Step::None,
+        step: VersionStep::None,
         reasons: Vec::new(),
     };
     diff.reasons = reasons(&diff);
-    diff.step = diff.reasons.iter().map(|reason| reason.step).max().unwrap_or(Step::None);
+    diff.step = diff.reasons.iter().map(|reason| reason.step).max().unwrap_or(VersionStep::None);
     Ok(diff)
 }
 
@@ -292,26 +238,30 @@ fn compare_records(
 fn reasons(diff: &Diff) -> Vec<Reason> {
     let Diff { records, facts, files, .. } = diff;
     let mut reasons = Vec::new();
-    let mut reason = |step: Step, count: usize, text: &str| {
+    let mut reason = |step: VersionStep, count: usize, text: &str| {
         if count > 0 {
             reasons.push(Reason { step, text: format!("{count} {text}") });
         }
     };
     let is_data = |record: &&ChangedRecord| record.fields != [PROVENANCE];
     let data = records.changed.iter().filter(is_data).count();
-    reason(Step::Major, records.removed.len(), "records are gone");
-    reason(Step::Major, records.moved.len(), "records are in another split");
-    reason(Step::Major, data, "records have other values");
-    reason(Step::Minor, records.added.len(), "records are new");
-    reason(Step::Patch, records.changed.len() - data, "records have another provenance only");
+    reason(VersionStep::Major, records.removed.len(), "records are gone");
+    reason(VersionStep::Major, records.moved.len(), "records are in another split");
+    reason(VersionStep::Major, data, "records have other values");
+    reason(VersionStep::Minor, records.added.len(), "records are new");
+    reason(
+        VersionStep::Patch,
+        records.changed.len() - data,
+        "records have another provenance only",
+    );
     let breaking = ["schema", "licence", "epsg", "cells", "cell_m"];
     let broken = facts.iter().filter(|change| breaking.contains(&change.key.as_str())).count();
-    reason(Step::Major, broken, "of schema, licence, projection and cells differ");
+    reason(VersionStep::Major, broken, "of schema, licence, projection and cells differ");
     let essential = |files: &[String]| files.iter().filter(|name| !is_text_or_shard(name)).count();
-    reason(Step::Major, essential(&files.removed), "files are gone");
-    reason(Step::Minor, essential(&files.added), "files are new");
+    reason(VersionStep::Major, essential(&files.removed), "files are gone");
+    reason(VersionStep::Minor, essential(&files.added), "files are new");
     let others = files.added.len() + files.removed.len() + files.changed.len();
-    reason(Step::Patch, others, "files differ");
+    reason(VersionStep::Patch, others, "files differ");
     reasons.sort_by_key(|reason| std::cmp::Reverse(reason.step));
     reasons
 }

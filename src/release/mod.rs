@@ -7,6 +7,7 @@
 
 mod archive;
 mod card;
+mod changes;
 mod charts;
 mod compare;
 mod date;
@@ -16,11 +17,9 @@ mod scan;
 mod stage;
 mod version;
 
+pub use changes::{Change, ChangedRecord, FileChanges, MovedRecord, RecordChanges};
 pub use date::{Date, DateError};
-pub use diff::{
-    Change, ChangedRecord, Diff, DiffError, FileChanges, MovedRecord, Reason, RecordChanges, Side,
-    diff,
-};
+pub use diff::{Diff, DiffError, Reason, Side, diff};
 pub use semver::Version;
 pub use stage::{ReleaseError, ReleaseJob, Released, release};
-pub use version::{Step, is_enough, least};
+pub use version::{VersionStep, is_enough, least};

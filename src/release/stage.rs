@@ -12,9 +12,11 @@ use super::version::{is_enough, least};
 use super::{card, charts, rebuild};
 use crate::dataset::{Dataset, ReadError, Record, croissant, record_schemas, reliability_of};
 use crate::error::{Fault, FileError, HasFault};
-use crate::manifest::{DatasetManifest, Release, ShardEntry, Software, fingerprint, to_json};
+use crate::manifest::{
+    DatasetManifest, Manifest, Release, ShardEntry, Software, fingerprint, to_json,
+};
 use crate::progress::Progress;
-use crate::store::{Digest, MANIFEST, Build, Output, OutputError, SUMS, sha256_bytes};
+use crate::store::{Build, Digest, MANIFEST, Output, OutputError, SUMS, sha256_bytes};
 
 /// Zenodo takes no more files in a record.
 const MOST_FILES: usize = 100;

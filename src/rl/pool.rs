@@ -160,13 +160,13 @@ pub struct MapSource(Origin);
 
 #[derive(Debug)]
 enum Origin {
-    Maps(Vec<Arc<World>>),
-    Split(Maps),
+    Given(Vec<Arc<World>>),
+    Split(SplitMaps),
 }
 
 /// Which maps of a dataset, and how many at a time.
 #[derive(Debug)]
-struct Maps {
+struct SplitMaps {
     dataset: Arc<Dataset>,
     split: Split,
     config: RlConfig,
@@ -180,7 +180,7 @@ impl MapSource {
     /// Maps that are never replaced.
     #[must_use]
     pub fn maps(maps: Vec<Arc<World>>) -> Self {
-        Self(Origin::Maps(maps))
+        Self(Origin::Given(maps))
     }
 
     /// All maps of a split if they take at most `memory_bytes`, else as many as that holds, in the
@@ -195,7 +195,15 @@ impl MapSource {
     ) -> Self {
         let (dataset, config) = (Arc::clone(dataset), config.clone());
         let (on_damage, block) = (OnDamage::Error, None);
-        Self(Origin::Split(Maps { dataset, split, config, memory_bytes, seed, on_damage, block }))
+        Self(Origin::Split(SplitMaps {
+            dataset,
+            split,
+            config,
+            memory_bytes,
+            seed,
+            on_damage,
+            block,
+        }))
     }
 
     /// The same, but with only so many shards shuffled together where maps come and go.
@@ -222,8 +230,8 @@ impl MapSource {
     /// If a record cannot be read, or no map can teach anything.
     pub fn fill(self) -> Result<MapPool, PoolError> {
         let (mut stream, capacity) = match self.open(0)? {
-            Opened::Part { stream, capacity } => (stream, capacity),
-            Opened::Whole { maps, damaged } => return MapPool::whole(maps, damaged),
+            OpenedMaps::Part { stream, capacity } => (stream, capacity),
+            OpenedMaps::Whole { maps, damaged } => return MapPool::whole(maps, damaged),
         };
         let mut maps = Vec::new();
         while maps.len() < capacity {
@@ -242,8 +250,8 @@ impl MapSource {
     /// As [`MapSource::fill`].
     pub fn restore(self, state: &PoolState) -> Result<Option<MapPool>, PoolError> {
         let mut pool = match self.open(state.cursor)? {
-            Opened::Whole { maps, damaged } => MapPool::whole(maps, damaged)?,
-            Opened::Part { stream, capacity } => {
+            OpenedMaps::Whole { maps, damaged } => MapPool::whole(maps, damaged)?,
+            OpenedMaps::Part { stream, capacity } => {
                 let known = stream.loader.ids();
                 let ids = state.numbers.iter().map(|&number| known.get(number as usize).copied());
                 let Some(ids) = ids.collect::<Option<Vec<TileId>>>() else { return Ok(None) };
@@ -257,13 +265,13 @@ impl MapSource {
         Ok((pool.state() == *state).then_some(pool))
     }
 
-    fn open(self, cursor: u64) -> Result<Opened, PoolError> {
-        let whole = |maps, damaged| Ok(Opened::Whole { maps, damaged });
+    fn open(self, cursor: u64) -> Result<OpenedMaps, PoolError> {
+        let whole = |maps, damaged| Ok(OpenedMaps::Whole { maps, damaged });
         let maps = match self.0 {
-            Origin::Maps(maps) => return whole((0..).zip(maps).collect(), BTreeMap::new()),
+            Origin::Given(maps) => return whole((0..).zip(maps).collect(), BTreeMap::new()),
             Origin::Split(maps) => maps,
         };
-        let Maps { dataset, split, config, memory_bytes, seed, on_damage, block } = maps;
+        let SplitMaps { dataset, split, config, memory_bytes, seed, on_damage, block } = maps;
         let records = dataset.ids_of(split).len();
         let fitting = memory_bytes / World::bytes(dataset.manifest().cells as usize);
         if records > 0 && records <= fitting {
@@ -282,12 +290,12 @@ impl MapSource {
         let decode = move |record, grids| Arc::new(World::new(&record, &grids, &of));
         let loader = Loader::new(&dataset, split, options, cursor, decode)?;
         let capacity = fitting.min(records * 3 / 4).max(1);
-        Ok(Opened::Part { stream: Stream { dataset, config, loader }, capacity })
+        Ok(OpenedMaps::Part { stream: Stream { dataset, config, loader }, capacity })
     }
 }
 
 /// What a source gives.
-enum Opened {
+enum OpenedMaps {
     /// All maps, and what is wrong with those that were left out.
     Whole { maps: Numbered, damaged: BTreeMap<TileId, String> },
     /// So many at a time.

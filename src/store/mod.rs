@@ -20,11 +20,12 @@ pub use hash::{Digest, sha256_bytes, sha256_file};
 pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
 pub use output::{
-    Build, BuildMode, Built, Finished, Gap, Item, Items, MANIFEST, Opened, Output,
-    OutputError, Parallel, Part, SUMS, Task, TaskReport, demand_outside, lock, parse_sums,
-    stays_inside,
+    Build, BuildMode, Built, Finished, Gap, Item, Items, MANIFEST, Opened, Output, OutputError,
+    Parallel, Part, SUMS, Task, TaskReport, demand_outside, lock, parse_sums, stays_inside,
 };
 #[cfg(feature = "remote")]
 pub use remote::{Remote, RemoteError};
-pub use sealed::{SealError, read_sealed, remove_sealed, remove_unsealed, write_sealed};
+pub use sealed::{
+    SealError, read_sealed, remove_sealed, remove_unsealed, sealed_files, write_sealed,
+};
 pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};

@@ -90,6 +90,18 @@ pub fn remove_unsealed(parent: &Path) -> Result<(), FileError> {
     Ok(())
 }
 
+/// Names of the files of a sealed directory.
+///
+/// # Errors
+/// [`SealError`] if there is no list of them.
+pub fn sealed_files(directory: &Path) -> Result<Vec<String>, SealError> {
+    let list = directory.join(SUMS);
+    let sums = std::fs::read_to_string(&list).ok();
+    let listed = sums.as_deref().and_then(|sums| parse_sums(sums).ok());
+    let listed = listed.ok_or(SealError::List { path: list })?;
+    Ok(listed.into_iter().map(|(_, name)| name.to_owned()).collect())
+}
+
 /// A file of a sealed directory.
 ///
 /// # Errors

@@ -6,11 +6,11 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
+use super::error::TrainError;
 use super::judgement::Mean;
 use super::log::LOG;
-use super::stage::TrainError;
 use crate::error::FileError;
-use crate::manifest::{RunManifest, to_json};
+use crate::manifest::{Manifest, RunManifest, to_json};
 use crate::rl::MapSource;
 use crate::rl::agent::{Checkpoint, Trainer, TrainerError, TrainerSetup, Validation};
 use crate::store::{
@@ -20,9 +20,9 @@ use crate::store::{
 /// Checkpoints that are kept beside the best.
 const KEPT: usize = 3;
 const LOCK: &str = ".holescout-lock";
-const MANIFEST: &str = "run.json";
-const CHECKPOINTS: &str = "checkpoints";
-const BEST: &str = "best";
+const MANIFEST: &str = RunManifest::FILE;
+const CHECKPOINTS: &str = RunManifest::CHECKPOINTS;
+const BEST: &str = RunManifest::BEST;
 
 /// A locked run.
 pub(super) struct RunDir {

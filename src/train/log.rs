@@ -8,13 +8,22 @@ use serde_json::{Value, json};
 
 use super::events::Events;
 use super::judgement::Judgement;
-use super::stage::Pace;
 use crate::error::FileError;
+use crate::manifest::RunManifest;
 use crate::rl::agent::TrainReport;
 use crate::store::write_atomic;
 
+/// How fast training went since the last report. Unlike all else it is never the same twice.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Pace {
+    /// Transitions learned from in a second, all else that training does included.
+    pub(super) samples_per_s: f64,
+    /// Share of the time that it waited for maps.
+    pub(super) waiting: f64,
+}
+
 /// Name of the log.
-pub(super) const LOG: &str = "log.jsonl";
+pub(super) const LOG: &str = RunManifest::LOG;
 
 /// `log.jsonl`, of which what happened up to the checkpoint that a run goes on from is kept, for the rest will
 /// happen again; and an event file.

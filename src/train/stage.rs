@@ -1,106 +1,28 @@
 //! A dataset in, a run out.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::directory::RunDir;
+use super::error::TrainError;
 use super::judgement::{Mean, is_better};
-use super::log::Log;
+use super::log::{Log, Pace};
 use super::validation::Judge;
 use crate::config::{Config, Split};
-use crate::dataset::{Dataset, ReadError};
-use crate::error::{Fault, FileError, HasFault};
+use crate::dataset::Dataset;
 use crate::grid::TileId;
-use crate::manifest::{RunManifest, Software};
+use crate::manifest::{Manifest, RunManifest, Software};
 use crate::progress::Progress;
 use crate::rl::agent::{
-    CheckpointError, DeviceChoice, MemoryError, MemoryNeed, NoDevice, ShapeError, Trainer,
-    TrainerError, TrainerSetup, Validation, keep_freed_memory, limit_threads,
+    DeviceChoice, MemoryNeed, Trainer, TrainerSetup, Validation, keep_freed_memory, limit_threads,
 };
-use crate::rl::{MapSource, PoolError, load_sample};
-use crate::store::OutputError;
+use crate::rl::{MapSource, load_sample};
 
 /// Updates that a report sums up.
 const REPORTED: u64 = 100;
-
-/// Why a run cannot begin or go on. What its last checkpoint holds is not lost.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum TrainError {
-    /// The dataset cannot be read.
-    #[error(transparent)]
-    Read(#[from] ReadError),
-    /// Maps of the dataset cannot be had.
-    #[error(transparent)]
-    Pool(#[from] PoolError),
-    /// There is no such device.
-    #[error(transparent)]
-    Device(#[from] NoDevice),
-    /// The network does not fit the maps.
-    #[error(transparent)]
-    Shape(#[from] ShapeError),
-    /// There is too little memory.
-    #[error(transparent)]
-    Memory(#[from] MemoryError),
-    /// Training failed.
-    #[error(transparent)]
-    Trainer(#[from] TrainerError),
-    /// The directory cannot be used.
-    #[error(transparent)]
-    Output(#[from] OutputError),
-    /// A file of the run cannot be read or written.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// The checkpoint that the run would go on from is damaged.
-    #[error("{source}; {}", way_on(path, before.as_deref()))]
-    Damaged {
-        /// What is wrong.
-        source: Box<CheckpointError>,
-        /// The checkpoint.
-        path: PathBuf,
-        /// The one before, if there is one.
-        before: Option<PathBuf>,
-    },
-    /// Somebody has removed the checkpoints of a run.
-    #[error(
-        "{}: the log of a run whose checkpoints are gone, so it cannot go on: train into another directory, \
-         or remove the log to begin anew here", log.display()
-    )]
-    NothingLeft {
-        /// The log.
-        log: PathBuf,
-    },
-}
-
-fn way_on(path: &Path, before: Option<&Path>) -> String {
-    let path = path.display();
-    match before {
-        Some(before) => {
-            let before = before.display();
-            format!("remove {path}, and the run goes on from {before}")
-        }
-        None => "there is none before it: train into another directory".to_owned(),
-    }
-}
-
-impl HasFault for TrainError {
-    fn fault(&self) -> Fault {
-        match self {
-            Self::Read(error) => error.fault(),
-            Self::Pool(error) => error.fault(),
-            Self::Device(error) => error.fault(),
-            Self::Shape(error) => error.fault(),
-            Self::Memory(error) => error.fault(),
-            Self::Trainer(error) => error.fault(),
-            Self::Output(error) => error.fault(),
-            Self::File(error) => error.fault(),
-            Self::Damaged { .. } | Self::NothingLeft { .. } => Fault::Input,
-        }
-    }
-}
 
 /// What to train on, how, and where to.
 #[derive(Debug, Clone, Copy)]
@@ -126,15 +48,6 @@ pub struct Ended {
     pub best: Option<(f64, u64)>,
     /// Maps that were left out since they cannot be read, each with the reason.
     pub quarantined: BTreeMap<TileId, String>,
-}
-
-/// How fast training went since the last report. Unlike all else it is never the same twice.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Pace {
-    /// Transitions learned from in a second, all else that training does included.
-    pub(super) samples_per_s: f64,
-    /// Share of the time that it waited for maps.
-    pub(super) waiting: f64,
 }
 
 /// Trains from the last checkpoint of a run, or from the beginning, until all updates are done, scores no longer

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::queue::Queue;
-use super::work::Plan;
+use super::work::DecodePlan;
 use crate::config::Split;
 use crate::dataset::read::Dataset;
 
@@ -12,7 +12,7 @@ use crate::dataset::read::Dataset;
 pub(super) fn download<R>(
     dataset: &Dataset,
     split: Split,
-    plan: &Arc<Plan>,
+    plan: &Arc<DecodePlan>,
     first: u64,
     queue: &Queue<R>,
 ) {

@@ -6,6 +6,7 @@
 //! neither the number of threads nor an interruption changes what comes next.
 
 mod ahead;
+mod error;
 mod kept;
 mod options;
 mod order;
@@ -16,21 +17,23 @@ mod work;
 use std::collections::BTreeMap;
 use std::num::NonZero;
 use std::panic::resume_unwind;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
+pub use self::error::LoaderError;
 use self::kept::Kept;
 pub use self::options::{LoaderOptions, Share};
 pub use self::order::{Epoch, Order};
 use self::queue::Queue;
-use self::work::{Outcome, Plan, Unreadable, Worker};
-use super::read::{Dataset, ReadError};
-use super::record::{Grids, Record};
+pub use self::work::Loaded;
+use self::work::{DecodePlan, Delivery, Unreadable, Worker};
+use super::error::ReadError;
+use super::grids::Grids;
+use super::read::Dataset;
+use super::record::Record;
 use super::statistics::reliability_of;
 use crate::config::{OnDamage, Split};
-use crate::error::{Fault, HasFault};
 use crate::grid::TileId;
 
 /// Most shards that the workers of a loader keep open together; each keeps at least one.
@@ -46,78 +49,6 @@ const OTHER_BYTES: usize = 8 << 10;
 /// the allocator holds ready for it. Measured, see `benches/RESULTS.md`.
 const THREAD_BYTES: usize = 1 << 20;
 
-/// Why a loader cannot begin.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum LoaderError {
-    /// Nothing to load.
-    #[error("{}: no records in split {split}; records are in: {}", root.display(), names(found))]
-    Empty {
-        /// The dataset.
-        root: PathBuf,
-        /// The split that was asked for.
-        split: Split,
-        /// The splits that have records.
-        found: Vec<Split>,
-    },
-    /// More processes than records.
-    #[error(
-        "the {split} split has {records} records, too few for {world} processes; run fewer of them"
-    )]
-    TooManyProcesses {
-        /// The split.
-        split: Split,
-        /// Its records.
-        records: u32,
-        /// The processes.
-        world: u32,
-    },
-    /// Shards that are needed at a time do not fit into the cache, and would be downloaded again and
-    /// again.
-    #[error(
-        "{shards} shards of the {split} split are needed at a time, with {bytes} bytes, more than the \
-         {limit} of remote.cache_mb; raise that, or shuffle fewer shards together (train.block)"
-    )]
-    CacheTooSmall {
-        /// The split.
-        split: Split,
-        /// How many.
-        shards: usize,
-        /// What the largest of them have together.
-        bytes: u64,
-        /// What the cache holds.
-        limit: u64,
-    },
-    /// The operating system gave no thread.
-    #[error("cannot start a thread that decodes records: {0}; try fewer threads")]
-    Thread(std::io::Error),
-}
-
-fn names(splits: &[Split]) -> String {
-    let names: Vec<&str> = splits.iter().map(|split| split.name()).collect();
-    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
-}
-
-impl HasFault for LoaderError {
-    fn fault(&self) -> Fault {
-        match self {
-            Self::Thread(_) => Fault::Running,
-            _ => Fault::Input,
-        }
-    }
-}
-
-/// What was made of a record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Loaded<T> {
-    /// The cursor that it was loaded for.
-    pub cursor: u64,
-    /// The record's place in [`Loader::ids`].
-    pub number: u32,
-    /// What `decode` returned.
-    pub value: T,
-}
-
 /// An endless iterator over the records of a split, epoch after epoch, in the order of
 /// [`Order`].
 ///
@@ -126,12 +57,12 @@ pub struct Loaded<T> {
 /// has begun is awaited.
 #[derive(Debug)]
 pub struct Loader<T> {
-    plan: Arc<Plan>,
+    plan: Arc<DecodePlan>,
     /// The epoch of the next item.
     epoch: Epoch,
     /// The next cursor.
     cursor: u64,
-    queue: Arc<Queue<Outcome<T>>>,
+    queue: Arc<Queue<Delivery<T>>>,
     workers: Vec<JoinHandle<()>>,
     kept: Option<Arc<Kept<T>>>,
     on_damage: OnDamage,
@@ -156,7 +87,7 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
         cursor: u64,
         decode: impl Fn(Record, Grids) -> T + Send + Sync + 'static,
     ) -> Result<Self, LoaderError> {
-        let plan = Arc::new(Plan::new(dataset, split, &options)?);
+        let plan = Arc::new(DecodePlan::new(dataset, split, &options)?);
         let mut open_shards = OPEN_SHARDS;
         if let Some(limit) = dataset.cache_bytes() {
             let shards = dataset.shards_of(split);
@@ -219,7 +150,7 @@ impl<T: Clone + Send + Sync + 'static> Loader<T> {
     }
 
     /// The next item of the share, damaged or not.
-    fn step(&mut self) -> Outcome<T> {
+    fn step(&mut self) -> Delivery<T> {
         let cursor = self.cursor;
         self.cursor = self.plan.share.after(cursor, 1);
         if self.kept.as_ref().is_some_and(|kept| kept.is_full()) {
@@ -335,6 +266,7 @@ impl<T> Drop for Loader<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::HasFault;
 
     #[test]
     fn the_largest_shards_of_a_block_count() {

@@ -80,7 +80,7 @@ impl Order {
         let key = mix(mix(self.seed.wrapping_add(GOLDEN)) ^ mix(epoch));
         let shards = self.starts.len();
         if self.block.get() >= shards {
-            let all = Block { first: 0, shards: vec![(0, self.records.get())] };
+            let all = ShardBlock { first: 0, shards: vec![(0, self.records.get())] };
             return Epoch { number: epoch, key, records: self.records, blocks: vec![all] };
         }
         let size = |shard: usize| {
@@ -94,7 +94,7 @@ impl Order {
             .collect();
         let mut first = 0;
         let blocks = order.chunks(self.block.get()).map(|shards| {
-            let block = Block { first, shards: shards.to_vec() };
+            let block = ShardBlock { first, shards: shards.to_vec() };
             first += shards.iter().map(|(_, size)| size).sum::<u32>();
             block
         });
@@ -108,7 +108,7 @@ impl Order {
     pub fn distance(&self, epoch: u64) -> f64 {
         let records = f64::from(self.records.get());
         let order = self.epoch(epoch);
-        let of_block = |block: &Block| {
+        let of_block = |block: &ShardBlock| {
             // What follows lies in the block, but for the last record of it.
             let inside: f64 = block.shards.iter().map(|(_, size)| f64::from(*size)).sum();
             inside / records * (1.0 - inside / records)
@@ -123,12 +123,12 @@ pub struct Epoch {
     number: u64,
     key: u64,
     records: NonZero<u32>,
-    blocks: Vec<Block>,
+    blocks: Vec<ShardBlock>,
 }
 
 /// Shards that are shuffled together.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Block {
+struct ShardBlock {
     /// Place of its first record in the epoch.
     first: u32,
     /// First record and number of records of each shard.
@@ -157,7 +157,7 @@ impl Epoch {
     pub fn at(&self, place: u32) -> u32 {
         assert!(place < self.records.get(), "an epoch of {} records", self.records);
         let block = self.blocks.partition_point(|block| block.first <= place) - 1;
-        let Block { first, shards } = &self.blocks[block];
+        let ShardBlock { first, shards } = &self.blocks[block];
         let records = shards.iter().map(|(_, size)| size).sum();
         let mut within = permute(mix(self.key ^ block as u64), records, place - first);
         for (start, size) in shards {

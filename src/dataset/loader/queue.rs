@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 pub(super) struct Queue<R> {
     /// Most items that are claimed and not taken.
     window: NonZero<usize>,
-    state: Mutex<State<R>>,
+    state: Mutex<QueueState<R>>,
     /// Signals the consumer: the result that is wanted next is there.
     filled: Condvar,
     /// Signals the workers: an item may be claimed, or there is nothing left to do.
@@ -21,7 +21,7 @@ pub(super) struct Queue<R> {
 }
 
 #[derive(Debug)]
-struct State<R> {
+struct QueueState<R> {
     /// The item to be taken next.
     wanted: u64,
     /// The item to be claimed next, at most `window` ahead of `wanted`.
@@ -33,12 +33,12 @@ struct State<R> {
 impl<R> Queue<R> {
     pub(super) fn new(window: NonZero<usize>) -> Self {
         let (results, stopped) = (BTreeMap::new(), false);
-        let state = Mutex::new(State { wanted: 0, unclaimed: 0, results, stopped });
+        let state = Mutex::new(QueueState { wanted: 0, unclaimed: 0, results, stopped });
         let (filled, freed, taken) = (Condvar::new(), Condvar::new(), Condvar::new());
         Self { window, state, filled, freed, taken }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<R>> {
+    fn lock(&self) -> MutexGuard<'_, QueueState<R>> {
         self.state.lock().expect("nothing panics while it holds the lock")
     }
 
@@ -51,7 +51,7 @@ impl<R> Queue<R> {
     pub(super) fn claim(&self) -> Option<u64> {
         let window = self.window.get() as u64;
         let is_full =
-            |state: &mut State<R>| !state.stopped && state.unclaimed - state.wanted >= window;
+            |state: &mut QueueState<R>| !state.stopped && state.unclaimed - state.wanted >= window;
         let waited = self.freed.wait_while(self.lock(), is_full);
         let mut state = waited.expect("nothing panics while it holds the lock");
         if state.stopped {
@@ -91,7 +91,7 @@ impl<R> Queue<R> {
 
     /// Waits until the consumer has come to an item; false after [`Queue::stop`].
     pub(super) fn wait_for(&self, item: u64) -> bool {
-        let is_early = |state: &mut State<R>| !state.stopped && state.wanted < item;
+        let is_early = |state: &mut QueueState<R>| !state.stopped && state.wanted < item;
         let waited = self.taken.wait_while(self.lock(), is_early);
         !waited.expect("nothing panics while it holds the lock").stopped
     }

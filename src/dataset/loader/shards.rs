@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
-use crate::dataset::read::{Dataset, ReadError};
-use crate::dataset::record::{Grids, Record};
-use crate::dataset::shard::ShardReader;
+use crate::dataset::error::ReadError;
+use crate::dataset::grids::Grids;
+use crate::dataset::read::Dataset;
+use crate::dataset::record::Record;
+use crate::dataset::shard_reader::ShardReader;
 use crate::grid::TileId;
 use crate::store::FrameBuffer;
 

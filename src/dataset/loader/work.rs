@@ -5,19 +5,32 @@ use std::num::NonZero;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
+use super::error::LoaderError;
 use super::kept::Kept;
 use super::options::{LoaderOptions, Share};
 use super::order::{Epoch, Order};
 use super::queue::Queue;
 use super::shards::OpenShards;
-use super::{Loaded, LoaderError};
 use crate::config::Split;
-use crate::dataset::read::{Dataset, ReadError};
-use crate::dataset::record::{Grids, Record};
+use crate::dataset::error::ReadError;
+use crate::dataset::grids::Grids;
+use crate::dataset::read::Dataset;
+use crate::dataset::record::Record;
 use crate::grid::TileId;
 
+/// What was made of a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Loaded<T> {
+    /// The cursor that it was loaded for.
+    pub cursor: u64,
+    /// The record's place in [`Loader::ids`].
+    pub number: u32,
+    /// What `decode` returned.
+    pub value: T,
+}
+
 /// What a worker hands over; a panic is carried to the consumer.
-pub(super) type Outcome<T> = std::thread::Result<Result<Loaded<T>, Box<Unreadable>>>;
+pub(super) type Delivery<T> = std::thread::Result<Result<Loaded<T>, Box<Unreadable>>>;
 
 /// A record that could not be read.
 #[derive(Debug)]
@@ -28,7 +41,7 @@ pub(super) struct Unreadable {
 
 /// Which record comes when.
 #[derive(Debug)]
-pub(super) struct Plan {
+pub(super) struct DecodePlan {
     pub(super) order: Order,
     pub(super) share: Share,
     /// The records of the split, by name.
@@ -37,7 +50,7 @@ pub(super) struct Plan {
     numbers: Vec<u32>,
 }
 
-impl Plan {
+impl DecodePlan {
     pub(super) fn new(
         dataset: &Dataset,
         split: Split,
@@ -76,7 +89,7 @@ impl Plan {
 
 /// One thread's part.
 pub(super) struct Worker<T, D> {
-    plan: Arc<Plan>,
+    plan: Arc<DecodePlan>,
     epoch: Epoch,
     /// The cursor of the loader's first item.
     first: u64,
@@ -88,7 +101,7 @@ pub(super) struct Worker<T, D> {
 impl<T: Clone, D: Fn(Record, Grids) -> T> Worker<T, D> {
     pub(super) fn new(
         dataset: &Arc<Dataset>,
-        plan: Arc<Plan>,
+        plan: Arc<DecodePlan>,
         first: u64,
         open_shards: usize,
         decode: &Arc<D>,
@@ -100,7 +113,7 @@ impl<T: Clone, D: Fn(Record, Grids) -> T> Worker<T, D> {
     }
 
     /// Loads one record after the other until the queue is stopped.
-    pub(super) fn work(mut self, queue: &Queue<Outcome<T>>) {
+    pub(super) fn work(mut self, queue: &Queue<Delivery<T>>) {
         while let Some(item) = queue.claim() {
             let cursor = self.plan.share.after(self.first, item);
             queue.put(

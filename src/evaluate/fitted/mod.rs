@@ -6,6 +6,7 @@
 //! and for what interpolating levels can.
 
 mod columns;
+mod moves;
 mod neighbours;
 mod samples;
 mod surroundings;
@@ -18,8 +19,8 @@ use self::trees::Trees;
 use crate::config::{Config, EvaluateConfig, Method, Split};
 use crate::dataset::Dataset;
 use crate::progress::Progress;
-use crate::rl::policy::{Policy, View};
-use crate::rl::{Cell, Sight, World, load_sample};
+use crate::rl::policy::Policy;
+use crate::rl::{Sight, World, load_sample};
 
 /// Maps that are learned from, at most.
 const MAPS: usize = 1000;
@@ -79,10 +80,4 @@ impl Fitted {
             _ => Box::new(self.trees.as_ref().expect(fitted).policy(known)),
         }
     }
-}
-
-/// Cells that a flight may be led to, visited ones left out while there are others.
-fn moves(view: &View<'_, '_>) -> Vec<Cell> {
-    let actions = view.flight.sight().actions();
-    view.unvisited().iter().map(|action| view.flight.cell() + actions.offset(action)).collect()
 }

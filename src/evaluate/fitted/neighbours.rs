@@ -6,7 +6,8 @@
 
 use std::sync::Arc;
 
-use super::surroundings::Sums;
+use super::moves::moves;
+use super::surroundings::ColumnSums;
 use crate::rl::policy::{Policy, View};
 use crate::rl::{Cell, World};
 
@@ -56,11 +57,11 @@ impl Neighbours {
     }
 }
 
-/// Sums over free cells.
+/// ColumnSums over free cells.
 struct Around {
-    free: Sums,
-    holes: Sums,
-    levels: Sums,
+    free: ColumnSums,
+    holes: ColumnSums,
+    levels: ColumnSums,
 }
 
 impl Around {
@@ -70,7 +71,7 @@ impl Around {
             let of = |at| world.cell(at);
             let values =
                 (0..n * n).map(of).map(|cell| if world.is_free(cell) { value(cell) } else { 0.0 });
-            Sums::new(&values.collect::<Vec<_>>(), n)
+            ColumnSums::new(&values.collect::<Vec<_>>(), n)
         };
         Self {
             free: sums(&|_| 1.0),
@@ -115,7 +116,7 @@ pub(super) struct LeaveOneOut {
 impl Policy for LeaveOneOut {
     fn predict(&self, views: &mut [View<'_, '_>]) -> Vec<[f64; 2]> {
         let best = |view: &mut View<'_, '_>| {
-            let cells = super::moves(view);
+            let cells = moves(view);
             let chance = |cell: &Cell| self.chances[view.known.index(*cell)];
             let most = cells.iter().map(chance).fold(f64::NEG_INFINITY, f64::max);
             // Many cells have the same description: one of them at random.

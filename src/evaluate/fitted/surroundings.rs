@@ -50,7 +50,7 @@ pub(super) fn buildings(world: &World) -> Surroundings {
     let built: Vec<f64> =
         cells(world).map(|at| f64::from(u8::from(world.is_occupied(at)))).collect();
     let heights: Vec<f64> = world.heights().iter().copied().map(f64::from).collect();
-    let [built, sums] = [built, heights].map(|values| Sums::new(&values, n));
+    let [built, sums] = [built, heights].map(|values| ColumnSums::new(&values, n));
     columns.extend(SHARES.map(|side| built.means(side)));
     columns.extend(MEANS.map(|side| sums.means(side)));
     columns.extend(GREATEST.map(|side| greatest(world.heights(), n, side)));
@@ -119,13 +119,13 @@ fn looking(world: &World, (rows, columns): (i32, i32)) -> [Vec<f32>; 2] {
 }
 
 /// Sums over rectangles that begin at the corner of a map (a summed-area table).
-pub(super) struct Sums {
+pub(super) struct ColumnSums {
     cells: usize,
     /// `[cells + 1, cells + 1]`.
     sums: Vec<f64>,
 }
 
-impl Sums {
+impl ColumnSums {
     /// Of values of all cells, row by row.
     pub(super) fn new(values: &[f64], cells: usize) -> Self {
         let side = cells + 1;
@@ -220,7 +220,7 @@ mod tests {
     #[test]
     fn sums_end_at_the_edges() {
         let values: Vec<f64> = (1..=9).map(f64::from).collect();
-        let sums = Sums::new(&values, 3);
+        let sums = ColumnSums::new(&values, 3);
         assert_eq!(sums.around(Cell::new(1, 1), 3), 45.0);
         assert_eq!(sums.around(Cell::new(0, 2), 3), 2.0 + 3.0 + 5.0 + 6.0);
         assert_eq!(sums.around(Cell::new(2, 0), 1), 7.0);

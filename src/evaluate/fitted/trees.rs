@@ -7,6 +7,7 @@ use forust_ml::objective::ObjectiveType;
 use forust_ml::{GradientBooster, Matrix};
 
 use super::columns::{Columns, PLAIN};
+use super::moves::moves;
 use super::samples::Samples;
 use crate::rl::policy::{Policy, View};
 use crate::rl::{Cell, PoolError, World};
@@ -114,7 +115,7 @@ impl Policy for ByTrees<'_> {
     fn predict(&self, views: &mut [View<'_, '_>]) -> Vec<[f64; 2]> {
         let mut rows = Vec::new();
         let best = |view: &mut View<'_, '_>| {
-            let moves = super::moves(view);
+            let moves = moves(view);
             rows.clear();
             self.columns.rows(view.known, view.flight.measurements(), &moves, &mut rows);
             let odds = self.trees.log_odds(&rows);

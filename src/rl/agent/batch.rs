@@ -68,7 +68,7 @@ pub struct Next {
 /// Makes batches.
 #[derive(Debug)]
 pub struct Batcher {
-    maps: Maps,
+    maps: HeldMaps,
     encoder: StateEncoder,
     buffers: RefCell<Buffers>,
     device: Device,
@@ -93,7 +93,7 @@ struct After<'a> {
 
 /// The maps, and what is known of actions on them.
 #[derive(Debug)]
-struct Maps {
+struct HeldMaps {
     sight: Sight,
     /// With their numbers.
     held: Vec<(u32, Arc<World>)>,
@@ -144,7 +144,7 @@ impl Batcher {
         let predicts = train.reward_prediction > 0.0 || train.hole_prediction > 0.0;
         let learns_all = predicts || train.dense_terminal;
         let avoids_visited = train.avoid_visited;
-        let held = Maps { sight, held: maps.clone(), places, learns_all, avoids_visited };
+        let held = HeldMaps { sight, held: maps.clone(), places, learns_all, avoids_visited };
         let mut batcher = Self {
             maps: held,
             encoder,
@@ -311,7 +311,7 @@ impl Batcher {
 /// A transition, and how it is turned or flipped.
 type Turned<'a> = (&'a Transition, Symmetry);
 
-impl Maps {
+impl HeldMaps {
     /// A map that is held, and its place.
     fn place(&self, number: u32) -> (usize, &World) {
         let place = self.places[&number];

@@ -11,8 +11,8 @@
 
 use tch::Tensor;
 
+use super::inputs::Inputs;
 use super::layer::{Layer, conv, transposed, valid};
-use super::network::Inputs;
 
 const MAP: [Layer; 4] =
     [conv("map.0", 3, 2), conv("map.1", 3, 2), conv("map.2", 3, 2), valid("map.3", 7)];

@@ -5,7 +5,7 @@
 //! `state.msgpack` (configuration, dataset, counters, maps, episodes, replay) and `SHA256SUMS`, which
 //! vouches for them.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
@@ -13,115 +13,23 @@ use serde_json::{Value, json};
 use tch::Device;
 
 use super::adam::Adam;
-use super::network::{QNetwork, ShapeError};
+use super::damage::{CheckpointError, SCHEMA, invalid};
+use super::network::QNetwork;
 use super::report::TotalsState;
+use super::setup::TrainerSetup;
 use super::tensors::{Tensors, named, pack};
-use super::trainer::TrainerSetup;
 use crate::config::{RlConfig, TrainConfig};
-use crate::error::{Fault, FileError, HasFault};
-use crate::manifest::{ManifestError, PolicyManifest, load};
+use crate::error::FileError;
+use crate::manifest::{PolicyManifest, RunManifest, load};
 use crate::rl::{EpisodeState, NStepBuffer, PoolState, World};
-use crate::store::{
-    MANIFEST, OutputError, SUMS, SealError, read_sealed, sha256_bytes, write_sealed,
-};
+use crate::store::{MANIFEST, SUMS, SealError, read_sealed, sha256_bytes, write_sealed};
 
-const SCHEMA: &str = "checkpoint.v4";
-pub(super) const WEIGHTS: &str = "weights.safetensors";
+pub(super) const WEIGHTS: &str = PolicyManifest::WEIGHTS;
 const LEARNING: &str = "learning.safetensors";
-const STATE: &str = "state.msgpack";
+const STATE: &str = RunManifest::STATE;
 /// Moments of Adam, all parameters in a row.
 const FIRST: &str = "adam.first";
 const SECOND: &str = "adam.second";
-
-/// Why a checkpoint cannot be written or used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CheckpointError {
-    /// Reading or writing failed.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// A file is not the one that was written.
-    #[error(transparent)]
-    Seal(#[from] SealError),
-    /// The directory cannot be written.
-    #[error(transparent)]
-    Output(#[from] OutputError),
-    /// Another version wrote it.
-    #[error(
-        "{}: the checkpoint is of schema {found:?}, expected {SCHEMA:?}: train into another \
-         directory, or use the version of holescout that wrote it", path.display()
-    )]
-    OtherVersion {
-        /// The file.
-        path: PathBuf,
-        /// Its schema.
-        found: String,
-    },
-    /// A file is not what it should be.
-    #[error("{}: {reason}", path.display())]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-    /// It is of another run.
-    #[error(
-        "{}: the checkpoint is of another run: {}; train into another directory, or with the \
-         dataset and configuration of this one", path.display(), differences.join("; ")
-    )]
-    OtherRun {
-        /// The checkpoint.
-        path: PathBuf,
-        /// What differs: key, expected, found.
-        differences: Vec<String>,
-    },
-    /// It was trained on states that are made otherwise.
-    #[error(
-        "{}: the policy sees states otherwise: {}; evaluate it with its own settings",
-        path.display(), differences.join("; ")
-    )]
-    OtherStates {
-        /// The checkpoint.
-        path: PathBuf,
-        /// What differs: key, expected, found.
-        differences: Vec<String>,
-    },
-    /// The manifest of an exported policy cannot be used.
-    #[error(transparent)]
-    Manifest(#[from] ManifestError),
-    /// The network does not fit the maps.
-    #[error(transparent)]
-    Shape(#[from] ShapeError),
-}
-
-impl HasFault for CheckpointError {
-    fn fault(&self) -> Fault {
-        match self {
-            Self::File(error) => error.fault(),
-            Self::Seal(error) => error.fault(),
-            Self::Output(error) => error.fault(),
-            Self::Manifest(error) => error.fault(),
-            Self::Shape(error) => error.fault(),
-            Self::OtherVersion { .. }
-            | Self::Format { .. }
-            | Self::OtherRun { .. }
-            | Self::OtherStates { .. } => Fault::Input,
-        }
-    }
-}
-
-impl CheckpointError {
-    /// Whether the checkpoint itself is to blame, so that an earlier one may still do.
-    #[must_use]
-    pub fn is_damage(&self) -> bool {
-        match self {
-            Self::Seal(_) | Self::Format { .. } => true,
-            Self::File(error) => error.fault() == Fault::Input,
-            _ => false,
-        }
-    }
-}
 
 /// How far training is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -210,10 +118,6 @@ fn differences(section: &str, expected: &Value, found: &Value) -> Vec<String> {
             format!("{section}.{key} is {here} here, {there} there")
         })
         .collect()
-}
-
-pub(super) fn invalid(path: &Path, reason: &impl ToString) -> CheckpointError {
-    CheckpointError::Format { path: path.to_owned(), reason: reason.to_string() }
 }
 
 impl Checkpoint {
@@ -340,8 +244,7 @@ impl Trained {
             let weights = read_sealed(directory, WEIGHTS)?;
             return Ok(Self { rl, train, grid: (cells as usize, cell_m), weights });
         }
-        let (manifest, _) =
-            load::<PolicyManifest>(directory, "export-policy", PolicyManifest::SCHEMA)?;
+        let (manifest, _) = load::<PolicyManifest>(directory)?;
         let PolicyManifest { rl, train, weights_sha256, cells, cell_m, .. } = manifest;
         let path = directory.join(WEIGHTS);
         let weights = std::fs::read(&path).map_err(FileError::new("read", &path))?;

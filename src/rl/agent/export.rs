@@ -5,10 +5,11 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::json;
 
-use super::checkpoint::{Checkpoint, CheckpointError, Trained, WEIGHTS};
+use super::checkpoint::{Checkpoint, Trained, WEIGHTS};
+use super::damage::CheckpointError;
 use crate::config::{Channel, Encoding, RlConfig, TrainConfig};
 use crate::error::{Fault, FileError, HasFault};
-use crate::manifest::{PolicyManifest, Software, fingerprint, to_json};
+use crate::manifest::{Manifest, PolicyManifest, Software, fingerprint, to_json};
 use crate::rl::{CenteredEncoder, REWARD_STEP};
 use crate::store::{Build, OutputError, sha256_bytes};
 

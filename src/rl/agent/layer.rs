@@ -28,7 +28,7 @@ pub(super) const fn transposed(name: &'static str, stride: i64) -> Layer {
 /// Squares in larger ones, one for each of a batch: row and column of the north-western cell,
 /// `[batch]`, cells along a side. They may reach beyond the border.
 #[derive(Debug)]
-pub(super) struct Part {
+pub(super) struct Rectangle {
     row: Tensor,
     column: Tensor,
     side: i64,
@@ -83,7 +83,7 @@ impl Layer {
     }
 
     /// The part of the input that a part of the output depends on.
-    pub(super) fn source(&self, part: &Part) -> Part {
+    pub(super) fn source(&self, part: &Rectangle) -> Rectangle {
         let Self { kernel, stride, padding, .. } = *self;
         if !self.transposed {
             let side = stride * (part.side - 1) + kernel;
@@ -100,8 +100,8 @@ impl Layer {
         &self,
         input: &Tensor,
         parameters: [&Tensor; 2],
-        source: &Part,
-        part: &Part,
+        source: &Rectangle,
+        part: &Rectangle,
     ) -> Tensor {
         if !self.transposed {
             return self.padded(input, parameters, 0, 0);
@@ -110,11 +110,11 @@ impl Layer {
         let out = self.padded(input, parameters, 0, 0);
         let first = |at: &Tensor, source: &Tensor| at - (source * self.stride - self.padding);
         let (row, column) = (first(&part.row, &source.row), first(&part.column, &source.column));
-        Part { row, column, side: part.side }.cut(&out)
+        Rectangle { row, column, side: part.side }.cut(&out)
     }
 }
 
-impl Part {
+impl Rectangle {
     /// Squares around cells at positions in row-major order, `[batch]`.
     pub(super) fn cells(positions: &Tensor, side: i64) -> Self {
         let row = positions.divide_scalar_mode(side, "floor");

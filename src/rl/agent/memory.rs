@@ -3,7 +3,8 @@
 use sysinfo::System;
 use tch::Device;
 
-use super::network::{QNetwork, ShapeError, activations};
+use super::inputs::ShapeError;
+use super::network::{QNetwork, activations};
 use crate::config::{Config, Split};
 use crate::dataset::Dataset;
 use crate::error::{Fault, HasFault};

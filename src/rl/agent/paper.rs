@@ -6,8 +6,8 @@
 
 use tch::Tensor;
 
-use super::layer::{Layer, Part, conv, transposed};
-use super::network::{Inputs, ShapeError};
+use super::inputs::{Inputs, ShapeError};
+use super::layer::{Layer, Rectangle, conv, transposed};
 
 const MAP: [Layer; 4] =
     [conv("map.0", 5, 2), conv("map.1", 3, 2), conv("map.2", 3, 2), transposed("map.3", 2)];
@@ -66,7 +66,7 @@ pub(super) fn outputs_of(inputs: &Inputs, parameters: &[[&Tensor; 2]], actions: 
     let (of_map, rest) = parameters.split_at(MAP.len());
     let (of_window, of_head) = rest.split_at(WINDOW.len());
     let side = inputs.window.size()[3];
-    let out = Part::cells(actions, side);
+    let out = Rectangle::cells(actions, side);
     let hidden = HEAD[1].source(&out);
     let joined = HEAD[0].source(&hidden);
     let map = local(&inputs.map, &MAP, of_map, &joined);
@@ -78,7 +78,12 @@ pub(super) fn outputs_of(inputs: &Inputs, parameters: &[[&Tensor; 2]], actions: 
 }
 
 /// A part of what layers make of a batch, computed from what it depends on.
-fn local(inputs: &Tensor, layers: &[Layer], parameters: &[[&Tensor; 2]], part: &Part) -> Tensor {
+fn local(
+    inputs: &Tensor,
+    layers: &[Layer],
+    parameters: &[[&Tensor; 2]],
+    part: &Rectangle,
+) -> Tensor {
     let [rest @ .., layer] = layers else { return part.cut(inputs) };
     let (rest_parameters, own) = parameters.split_at(rest.len());
     let source = layer.source(part);

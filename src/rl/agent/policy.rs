@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use tch::Device;
 
 use super::batch::{encode_views, flags};
-use super::checkpoint::{CheckpointError, load_weights};
+use super::checkpoint::load_weights;
+use super::damage::CheckpointError;
 use super::network::{QNetwork, best};
 use crate::config::{RlConfig, TrainConfig};
 use crate::rl::policy::{MakePolicy, Policy, View};

@@ -6,7 +6,7 @@ use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView, serialize};
 use tch::{Device, Tensor};
 
-use super::checkpoint::{CheckpointError, invalid};
+use super::damage::{CheckpointError, invalid};
 use super::network::QNetwork;
 
 /// The bytes of a file of `float32` tensors, whatever device they are on.

@@ -8,16 +8,19 @@ use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
-use tch::{Device, Tensor};
+use tch::Tensor;
 
 use super::adam::Adam;
 use super::batch::{Batcher, flags};
-use super::checkpoint::{Checkpoint, CheckpointError, Counters, Memory, Validation};
+use super::checkpoint::{Checkpoint, Counters, Memory, Validation};
+use super::damage::CheckpointError;
 use super::ddqn::loss;
 use super::device::upload;
-use super::network::{QNetwork, ShapeError};
+use super::inputs::ShapeError;
+use super::network::QNetwork;
 use super::report::{Totals, TotalsState, TrainReport};
-use crate::config::{RlConfig, TrainConfig};
+use super::setup::TrainerSetup;
+use crate::config::TrainConfig;
 use crate::error::{Fault, HasFault};
 use crate::rl::{
     ActionSet, Cell, Environment, MapPool, MapSource, NStepBuffer, NothingToLearn, PoolError,
@@ -75,19 +78,6 @@ impl HasFault for TrainerError {
             Self::Diverged { .. } => Fault::Running,
         }
     }
-}
-
-/// What to train on and how.
-#[derive(Debug, Clone, Copy)]
-pub struct TrainerSetup<'a> {
-    /// SHA-256 of the dataset's manifest.
-    pub dataset_sha256: &'a str,
-    /// The task.
-    pub rl: &'a RlConfig,
-    /// How to train.
-    pub train: &'a TrainConfig,
-    /// Where to compute.
-    pub device: Device,
 }
 
 /// Training under way.

@@ -14,9 +14,7 @@ use super::error::{Gap, OutputError};
 use super::journal::{self, Done, Journal, Line, Noted, Plan, lock, write_line};
 use super::part::{BuildMode, Part, Task, TaskReport};
 use super::presence;
-use super::removal::{
-    directories, remove_finished, remove_inside, remove_leftovers, stays_inside,
-};
+use super::removal::{directories, remove_finished, remove_inside, remove_leftovers, stays_inside};
 use super::{MANIFEST, SUMS};
 use crate::error::FileError;
 use crate::progress::Progress;
@@ -48,11 +46,7 @@ impl OutputDir {
     ///
     /// # Errors
     /// [`OutputError::Occupied`] if it holds something else.
-    pub(super) fn check(
-        root: &Path,
-        plan: &Plan,
-        mode: BuildMode,
-    ) -> Result<(), OutputError> {
+    pub(super) fn check(root: &Path, plan: &Plan, mode: BuildMode) -> Result<(), OutputError> {
         presence::check(root, plan, mode)
     }
 
@@ -87,11 +81,7 @@ impl OutputDir {
     ///
     /// # Errors
     /// As [`OutputDir::check`], and when writing fails.
-    pub(super) fn begin(
-        root: &Path,
-        plan: &Plan,
-        mode: BuildMode,
-    ) -> Result<Self, OutputError> {
+    pub(super) fn begin(root: &Path, plan: &Plan, mode: BuildMode) -> Result<Self, OutputError> {
         presence::check(root, plan, mode)?;
         let mut output = Self {
             root: root.to_owned(),

@@ -7,7 +7,6 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::SystemTime;
 
-use super::is_sha256;
 use crate::error::FileError;
 use crate::store::atomic::{is_at, remove_if_there};
 use crate::store::{Digest, sha256_file, sha256_reader};
@@ -27,7 +26,7 @@ pub(super) struct Cache {
 }
 
 /// A download that this process alone writes to.
-pub(super) struct Part {
+pub(super) struct PartialFile {
     path: PathBuf,
     file: File,
 }
@@ -63,7 +62,7 @@ impl Cache {
     }
 
     /// Waits for the right to download something.
-    pub(super) fn lock_part(&self, digest: &Digest) -> Result<Part, FileError> {
+    pub(super) fn lock_part(&self, digest: &Digest) -> Result<PartialFile, FileError> {
         let path = self.directory.join(format!("{}.{}{PART}", digest.sha256, digest.bytes));
         loop {
             let open = OpenOptions::new().create(true).read(true).append(true).open(&path);
@@ -71,7 +70,7 @@ impl Cache {
             file.lock().map_err(FileError::new("lock", &path))?;
             // Who had the lock before may have renamed or removed it.
             if is_at(&file, &path) {
-                return Ok(Part { path, file });
+                return Ok(PartialFile { path, file });
             }
         }
     }
@@ -104,7 +103,7 @@ impl Cache {
     }
 
     /// Takes over a download whose digest was checked.
-    pub(super) fn put(&self, part: Part, digest: &Digest) -> Result<File, FileError> {
+    pub(super) fn put(&self, part: PartialFile, digest: &Digest) -> Result<File, FileError> {
         let path = self.path(digest);
         part.file.sync_all().map_err(FileError::new("sync", &part.path))?;
         std::fs::rename(&part.path, &path).map_err(FileError::new("write", &path))?;
@@ -122,7 +121,7 @@ impl Cache {
     }
 }
 
-impl Part {
+impl PartialFile {
     /// Bytes that are here.
     pub(super) fn len(&self) -> Result<u64, FileError> {
         let about = self.file.metadata().map_err(FileError::new("read", &self.path))?;
@@ -182,6 +181,10 @@ impl Download {
         remove_if_there(&self.path)?;
         Ok(true)
     }
+}
+
+pub(super) fn is_sha256(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
 #[cfg(test)]

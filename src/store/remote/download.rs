@@ -5,15 +5,15 @@ use object_store::client::HttpError;
 use object_store::path::Path as ObjectPath;
 use object_store::{Error, GetOptions, GetRange, ObjectStore};
 
-use super::cache::Part;
-use super::{RemoteError, pause};
+use super::cache::PartialFile;
+use super::error::RemoteError;
 use crate::store::Digest;
 
 /// Files that no manifest names are read into memory; none of ours is larger.
 const MOST_SMALL: u64 = 1 << 28;
 
 /// A file on a server.
-pub(super) struct Source<'a> {
+pub(super) struct RemoteFile<'a> {
     pub(super) store: &'a dyn ObjectStore,
     pub(super) path: ObjectPath,
     pub(super) url: String,
@@ -21,7 +21,7 @@ pub(super) struct Source<'a> {
     pub(super) attempts: u32,
 }
 
-impl Source<'_> {
+impl RemoteFile<'_> {
     /// Waits before the next attempt, or says why there is none.
     async fn wait(&self, why: Interrupted, failures: u32) -> Result<(), RemoteError> {
         let reason = match why {
@@ -96,8 +96,8 @@ fn reason(error: &Error) -> String {
 /// Appends to a download until it is as large as its manifest says. What is there is taken for the
 /// beginning.
 pub(super) async fn download(
-    source: &Source<'_>,
-    part: &mut Part,
+    source: &RemoteFile<'_>,
+    part: &mut PartialFile,
     digest: &Digest,
 ) -> Result<(), RemoteError> {
     if part.len()? > digest.bytes {
@@ -124,7 +124,11 @@ pub(super) async fn download(
 }
 
 /// One answer of the server, from the end of what is there on.
-async fn stream(source: &Source<'_>, part: &mut Part, digest: &Digest) -> Result<(), Interrupted> {
+async fn stream(
+    source: &RemoteFile<'_>,
+    part: &mut PartialFile,
+    digest: &Digest,
+) -> Result<(), Interrupted> {
     let on_disk = |error| Interrupted::Final(RemoteError::Cache(error));
     let mut have = part.len().map_err(on_disk)?;
     let range = (have > 0).then_some(GetRange::Offset(have));
@@ -152,7 +156,7 @@ async fn stream(source: &Source<'_>, part: &mut Part, digest: &Digest) -> Result
 }
 
 /// A whole file into memory.
-pub(super) async fn download_small(source: &Source<'_>) -> Result<Vec<u8>, RemoteError> {
+pub(super) async fn download_small(source: &RemoteFile<'_>) -> Result<Vec<u8>, RemoteError> {
     let mut failures = 0;
     loop {
         match small(source).await {
@@ -165,7 +169,7 @@ pub(super) async fn download_small(source: &Source<'_>) -> Result<Vec<u8>, Remot
     }
 }
 
-async fn small(source: &Source<'_>) -> Result<Vec<u8>, Interrupted> {
+async fn small(source: &RemoteFile<'_>) -> Result<Vec<u8>, Interrupted> {
     let too_large = |bytes| {
         let (url, limit) = (source.url.clone(), MOST_SMALL);
         Interrupted::Final(RemoteError::TooLarge { url, bytes, limit })
@@ -184,4 +188,10 @@ async fn small(source: &Source<'_>) -> Result<Vec<u8>, Interrupted> {
         }
     }
     Ok(bytes)
+}
+
+/// How long to wait after so many failures in a row: a fifth of a second, doubled each time, at most
+/// ten seconds.
+fn pause(failures: u32) -> Duration {
+    Duration::from_millis(100).saturating_mul(1 << failures.min(10)).min(Duration::from_secs(10))
 }

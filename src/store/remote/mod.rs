@@ -7,6 +7,7 @@
 
 mod cache;
 mod download;
+mod error;
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -21,131 +22,15 @@ use object_store::path::Path as ObjectPath;
 use object_store::{ClientConfigKey, ObjectStore, ObjectStoreScheme, RetryConfig};
 use tokio::runtime::{Builder, Runtime};
 
-use self::cache::Cache;
-use self::download::{Source, download, download_small};
+use self::cache::{Cache, is_sha256};
+use self::download::{RemoteFile, download, download_small};
+pub use self::error::RemoteError;
 use super::Digest;
 use crate::config::RemoteConfig;
 use crate::error::{Fault, FileError, HasFault};
 
 /// How often a transfer looks whether it is still wanted.
 const GLANCE: Duration = Duration::from_millis(50);
-
-/// Why a file cannot be had.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RemoteError {
-    /// Not an address that can be read.
-    #[error("{url}: {reason}; expected http://, https:// or s3:// and a directory")]
-    Url {
-        /// The address.
-        url: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The file is not there.
-    #[error("{url}: not found; expected a file of a dataset or release")]
-    NotFound {
-        /// The file.
-        url: String,
-    },
-    /// The server knows who asks, or wants to, and gives nothing.
-    #[error(
-        "{url}: refused: {reason}; for s3:// set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or \
-         AWS_SKIP_SIGNATURE=true for a public bucket"
-    )]
-    Refused {
-        /// The file.
-        url: String,
-        /// What the server said.
-        reason: String,
-    },
-    /// A manifest that no dataset of any use has.
-    #[error("{url}: has {bytes} bytes, more than the {limit} that a manifest may have")]
-    TooLarge {
-        /// The file.
-        url: String,
-        /// Its size, or what came before it was given up.
-        bytes: u64,
-        /// The most that is read.
-        limit: u64,
-    },
-    /// Nobody wants it any more.
-    #[error("{url}: the download was stopped; what came is kept")]
-    Stopped {
-        /// The file.
-        url: String,
-    },
-    /// The server or the network failed, each time.
-    #[error("{url}: failed {attempts} times in a row, the last time: {reason}")]
-    Failed {
-        /// The file.
-        url: String,
-        /// How often it was tried without a new byte.
-        attempts: u32,
-        /// Why it failed at last.
-        reason: String,
-    },
-    /// The server has a file of another size than the manifest promises.
-    #[error("{url}: has {found} bytes, the manifest says {expected}")]
-    Size {
-        /// The file.
-        url: String,
-        /// From the manifest.
-        expected: u64,
-        /// From the server.
-        found: u64,
-    },
-    /// The server gives other bytes than the manifest promises.
-    #[error("{url}: is {found}, the manifest says {expected}; downloaded twice")]
-    Damaged {
-        /// The file.
-        url: String,
-        /// From the manifest.
-        expected: Digest,
-        /// What was downloaded.
-        found: Digest,
-    },
-    /// A manifest of somebody's that names no SHA-256.
-    #[error("{url}: {sha256:?} is no SHA-256")]
-    NoDigest {
-        /// The file.
-        url: String,
-        /// What the manifest has.
-        sha256: String,
-    },
-    /// More than the cache may hold.
-    #[error(
-        "{url}: {bytes} bytes do not fit into the cache of {limit}; raise remote.cache_mb, or read \
-         fewer shards at a time"
-    )]
-    CacheTooSmall {
-        /// The file.
-        url: String,
-        /// Its size.
-        bytes: u64,
-        /// The size of the cache, in bytes.
-        limit: u64,
-    },
-    /// The cache cannot be used.
-    #[error(transparent)]
-    Cache(#[from] FileError),
-    /// No memory or threads for the network.
-    #[error("cannot start the network: {0}")]
-    Runtime(std::io::Error),
-}
-
-impl HasFault for RemoteError {
-    fn fault(&self) -> Fault {
-        match self {
-            Self::Failed { .. }
-            | Self::Refused { .. }
-            | Self::Stopped { .. }
-            | Self::Runtime(_) => Fault::Running,
-            Self::Cache(error) => error.fault(),
-            _ => Fault::Input,
-        }
-    }
-}
 
 /// A published directory.
 #[derive(Debug)]
@@ -302,15 +187,11 @@ impl Remote {
         self.damaged.lock().expect("nothing panics while it holds the lock")
     }
 
-    fn source(&self, name: &str) -> Source<'_> {
+    fn source(&self, name: &str) -> RemoteFile<'_> {
         let path = name.split('/').fold(self.base.clone(), ObjectPath::join);
         let url = format!("{}/{name}", self.url);
-        Source { store: &*self.store, path, url, attempts: self.attempts }
+        RemoteFile { store: &*self.store, path, url, attempts: self.attempts }
     }
-}
-
-fn is_sha256(text: &str) -> bool {
-    text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
 /// Where downloads are kept if the configuration does not say.
@@ -319,12 +200,6 @@ fn default_cache() -> PathBuf {
     let base = set("XDG_CACHE_HOME").map(PathBuf::from);
     let base = base.or_else(|| Some(PathBuf::from(set("HOME")?).join(".cache")));
     base.unwrap_or_else(std::env::temp_dir).join("holescout")
-}
-
-/// How long to wait after so many failures in a row: a fifth of a second, doubled each time, at most
-/// ten seconds.
-fn pause(failures: u32) -> Duration {
-    Duration::from_millis(100).saturating_mul(1 << failures.min(10)).min(Duration::from_secs(10))
 }
 
 #[cfg(test)]
