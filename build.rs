@@ -2,7 +2,9 @@
 
 fn main() {
     println!("cargo::rerun-if-env-changed=LIBTORCH");
-    if std::env::var_os("CARGO_FEATURE_TORCH").is_none() {
+    let is_set = |name| std::env::var_os(name).is_some();
+    // Documentation is not linked.
+    if !is_set("CARGO_FEATURE_TORCH") || is_set("DOCS_RS") {
         return;
     }
     let Ok(libtorch) = std::env::var("LIBTORCH") else {

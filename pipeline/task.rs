@@ -15,7 +15,7 @@ pub(crate) fn report<M>(
 ) -> Result<Report, Failure> {
     match built {
         Built::Whole(manifest) => whole(manifest),
-        Built::Part(TaskReport { task, planned, items, found }) => {
+        Built::Part(TaskReport { task, planned, items, found, .. }) => {
             let built = items.saturating_sub(found);
             let text = format!(
                 "task {} of 0 to {}: {items} of {planned} items, {built} built, {found} found done\n",

@@ -20,7 +20,7 @@ pub(crate) fn run(args: &TrainArgs, config: &Config, console: &Console) -> Resul
     }
     let job =
         TrainJob { dataset: &args.dataset, config, run: &args.run, device: args.device.choice() };
-    let Ended { updates, complete, best, quarantined } = train(job, console, &stop)?;
+    let Ended { updates, complete, best, quarantined, .. } = train(job, console, &stop)?;
     for (id, reason) in &quarantined {
         console.note(&format!("warning: {id} was left out: {reason}"));
     }

@@ -1,23 +1,32 @@
 //! Buildings: footprint, height and where the height comes from.
 
+#[cfg(feature = "build")]
 mod city;
 mod defect;
+#[cfg(feature = "build")]
 mod groups;
 mod height;
+#[cfg(feature = "build")]
 mod prism;
+#[cfg(feature = "build")]
 mod tags;
 
+#[cfg(feature = "build")]
 pub use city::City;
 pub use defect::{Action, Defect, Problem};
+#[cfg(feature = "build")]
 pub use groups::Named;
 pub use height::{HeightSource, parse_length, parse_levels};
+#[cfg(feature = "build")]
 pub use prism::{Limits, Prism};
+#[cfg(feature = "build")]
 pub use tags::{
     Attributes, BUILDING, BUILDING_PART, Classified, Kind, Told, classify, told_height,
 };
 
 use std::fmt;
 
+#[cfg(feature = "build")]
 use geo::MultiPolygon;
 
 /// The OSM object that a building comes from.
@@ -44,6 +53,7 @@ impl fmt::Display for ObjectId {
 
 /// One building, or one part of a building. A relation whose rings have heights of their own
 /// makes one for each height.
+#[cfg(feature = "build")]
 #[derive(Debug, Clone, PartialEq)]
 pub struct Building {
     /// Where it comes from.

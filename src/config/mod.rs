@@ -42,6 +42,7 @@ impl crate::error::HasFault for ConfigError {
     }
 }
 
+#[cfg(feature = "build")]
 /// Why a file is no configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum ParseError {
@@ -56,6 +57,7 @@ pub enum ParseError {
     Toml(#[from] toml::de::Error),
 }
 
+#[cfg(feature = "build")]
 impl crate::error::HasFault for ParseError {
     fn fault(&self) -> crate::error::Fault {
         crate::error::Fault::Input
@@ -104,6 +106,7 @@ pub struct Config {
 }
 
 impl Config {
+    #[cfg(feature = "build")]
     /// Reads a file's text; what it does not tell is as by default. Values are not checked yet.
     ///
     /// # Errors

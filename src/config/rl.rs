@@ -90,6 +90,7 @@ impl RlConfig {
 /// A method that is evaluated, by the name used in files and on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
+#[non_exhaustive]
 pub enum Method {
     /// `rsp`: the random starts themselves.
     RandomSampling,

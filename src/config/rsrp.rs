@@ -38,6 +38,7 @@ const ASSUMABLE: [&str; 23] = [
 /// Producers whose files are read without metadata of ours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Preset {
     /// A plain script around Sionna: `np.savez(path, path_gain=rm.path_gain)`.
     Sionna,

@@ -35,6 +35,7 @@ pub enum Encoding {
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
 )]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Channel {
     /// 1 for occupied cells and beyond the map.
     Occupied,

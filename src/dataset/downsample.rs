@@ -7,8 +7,8 @@ use ndarray::{Array2, ArrayView2, s};
 
 use crate::config::{HeightDownsampling, RsrpDownsampling};
 use crate::manifest::ErrorGrids;
+use crate::manifest::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 use crate::reliability::{relative_std_error, std_error_db};
-use crate::rsrp::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 use crate::units::Dbm;
 
 /// Heights of blocks of `factor` × `factor` cells.

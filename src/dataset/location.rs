@@ -4,8 +4,6 @@ use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{Advice, fadvise};
-
 use super::error::{ReadError, unreadable};
 use crate::config::RemoteConfig;
 use crate::error::FileError;
@@ -79,15 +77,21 @@ impl Location {
             Self::Directory(directory) => {
                 let path = directory.join(name);
                 let file = File::open(&path).map_err(|error| unreadable(&path, error))?;
-                // Its records will be wanted in any order: let the disk read them in its own. It
-                // is a wish, and nothing is lost if it is not granted.
-                let _ = fadvise(&file, 0, None, Advice::WillNeed);
+                read_ahead(&file);
                 Ok(file)
             }
             #[cfg(feature = "remote")]
             Self::Server(server) => Ok(server.fetch(name, digest, is_wanted)?),
         }
     }
+}
+
+/// Records of a shard will be wanted in any order: let the disk read them in its own. It is a wish,
+/// and nothing is lost if it is not granted, or where there is no such call.
+#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "there is no such call"))]
+fn read_ahead(file: &File) {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::fs::fadvise(file, 0, None, rustix::fs::Advice::WillNeed);
 }
 
 fn is_url(text: &str) -> bool {

@@ -9,7 +9,8 @@ use serde_bytes::ByteBuf;
 
 use super::grids::{Grids, RecordError, matrix};
 use crate::manifest::ErrorGrids;
-use crate::rsrp::{MASK_REACHED, MASK_UNREACHED};
+use crate::manifest::{MASK_REACHED, MASK_UNREACHED};
+#[cfg(feature = "build")]
 use crate::store::npy_bytes;
 use crate::units::Dbm;
 
@@ -22,6 +23,7 @@ const SHARES: f32 = 250.0;
 /// The largest standard error, 4.343 dB, in hundredths.
 const MAX_ERROR: u16 = 434;
 
+#[cfg(feature = "build")]
 /// The arrays of a record as they lie in it.
 pub(super) struct Packed {
     pub(super) rsrp_dbm: ByteBuf,
@@ -38,6 +40,7 @@ pub(super) struct PackedRef<'a> {
     pub(super) floor_dbm: Dbm,
 }
 
+#[cfg(feature = "build")]
 /// Packs levels and errors; a cell at the floor that is no reached one has no level.
 pub(super) fn pack(floor_dbm: Dbm, grids: &Grids, errors: &ErrorGrids) -> Packed {
     let floor = (floor_dbm.0 as f32).to_bits();
@@ -71,6 +74,7 @@ pub(super) fn pack(floor_dbm: Dbm, grids: &Grids, errors: &ErrorGrids) -> Packed
     }
 }
 
+#[cfg(feature = "build")]
 /// Hundredths of a decibel; a float64 holds the product exactly enough to be rounded right.
 fn in_steps(rsrp: f32) -> i16 {
     (f64::from(rsrp) * f64::from(STEPS)).round() as i16

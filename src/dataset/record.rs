@@ -9,11 +9,14 @@ use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 
 use super::grids::{Grids, RecordError, matrix};
-use super::packed::{self, Packed, PackedRef};
+#[cfg(feature = "build")]
+use super::packed::Packed;
+use super::packed::{self, PackedRef};
 use crate::config::Split;
 use crate::grid::TileId;
 use crate::manifest::{BaseStation, BuiltBySource, Radio, SourceMap};
-use crate::rsrp::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
+use crate::manifest::{MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
+#[cfg(feature = "build")]
 use crate::store::npy_bytes;
 use crate::units::Dbm;
 
@@ -101,6 +104,7 @@ impl Record {
     /// The value of `row_order`.
     pub const ROW_ORDER: &'static str = "north_first";
 
+    #[cfg(feature = "build")]
     /// Puts arrays into the byte strings of a record, and sets the schema after them. Levels with
     /// errors are rounded to hundredths; [`Record::repeats`] must be set then.
     #[must_use]

@@ -6,7 +6,7 @@ use ndarray::Array2;
 
 use super::grids::Grids;
 use super::record::Record;
-use crate::rsrp::{MASK_BUILDING, MASK_REACHED};
+use crate::manifest::{MASK_BUILDING, MASK_REACHED};
 use crate::units::Dbm;
 
 type Rgb = [u8; 3];

@@ -23,8 +23,8 @@ use crate::manifest::{
     RsrpFile, RsrpManifest, ShardEntry, Software, SplitStatistics, StageFileError, TileEntry,
     TileFile, TilesManifest, fingerprint, load, to_json,
 };
+use crate::manifest::{MASK_BUILDING, MASK_UNREACHED};
 use crate::progress::Progress;
-use crate::rsrp::{MASK_BUILDING, MASK_UNREACHED};
 use crate::store::{
     Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
     SeekableWriter, compress_frame, sha256_bytes,

@@ -5,8 +5,8 @@ use super::record::Record;
 use crate::manifest::{
     DatasetManifest, MaskCounts, Reliability, RsrpHistogram, ShiftHistogram, SplitStatistics,
 };
+use crate::manifest::{MASK_BUILDING, MASK_REACHED};
 use crate::reliability::{HOLE_THRESHOLD, HoleModel, SURE};
-use crate::rsrp::{MASK_BUILDING, MASK_REACHED};
 use crate::units::Dbm;
 
 const FIRST_DBM: i32 = -200;

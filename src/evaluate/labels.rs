@@ -8,9 +8,9 @@
 use crate::config::RlConfig;
 use crate::dataset::{Grids, Record};
 use crate::manifest::ErrorGrids;
+use crate::manifest::MASK_REACHED;
 use crate::reliability::{HoleModel, MAX_STD_ERROR_DB, SURE};
 use crate::rl::{ActionSet, Cell, Sight, World};
-use crate::rsrp::MASK_REACHED;
 use crate::units::{Db, Dbm};
 
 /// Chances that cells are holes, row by row; 0 where a cell is not outdoors.
@@ -205,7 +205,7 @@ impl<'a> Moves<'a> {
 mod tests {
     use super::*;
     use crate::dataset::example;
-    use crate::rsrp::{MASK_BUILDING, MASK_UNREACHED};
+    use crate::manifest::{MASK_BUILDING, MASK_UNREACHED};
     use ndarray::{Array2, array};
 
     /// Four cells in a row, a building behind them, cells that nothing reaches below: an error of 1 dB,

@@ -291,6 +291,7 @@ pub struct LabelFigures {
 /// The report of an evaluation.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Report {
     /// Always `report.v1`.
     #[schemars(extend("const" = "report.v1"))]

@@ -4,6 +4,8 @@ use std::collections::HashMap;
 
 use geo::Rect;
 
+use super::tile_id::TileId;
+
 /// Boxes sorted into square blocks. With blocks wider than most boxes, most lie in one: about
 /// 4 bytes each, besides the boxes themselves.
 #[derive(Debug)]
@@ -59,6 +61,16 @@ fn meet(a: &Rect<f64>, b: &Rect<f64>) -> bool {
         && b.min().x <= a.max().x
         && a.min().y <= b.max().y
         && b.min().y <= a.max().y
+}
+
+impl TileId {
+    /// The square of a side around the centre, in metres of the projection.
+    #[must_use]
+    pub fn square(self, side_m: f64) -> Rect<f64> {
+        let half = side_m / 2.0;
+        let [x, y] = self.center();
+        Rect::new([x - half, y - half], [x + half, y + half])
+    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,6 @@ use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 
-use geo::Rect;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
@@ -33,14 +32,6 @@ impl TileId {
     #[must_use]
     pub fn center(self) -> [f64; 2] {
         [self.easting as f64, self.northing as f64]
-    }
-
-    /// The square of a side around the centre, in metres of the projection.
-    #[must_use]
-    pub fn square(self, side_m: f64) -> Rect<f64> {
-        let half = side_m / 2.0;
-        let [x, y] = self.center();
-        Rect::new([x - half, y - half], [x + half, y + half])
     }
 
     /// Longitude and latitude of the centre, in degrees.

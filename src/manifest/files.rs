@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 use serde::de::DeserializeOwned;
 
-use super::{MapEntry, RsrpMeta, SceneEntry, SceneMeta, TileEntry, TileMeta, Verdict};
+use super::{ErrorGrids, MapEntry, RsrpMeta, SceneEntry, SceneMeta, TileEntry, TileMeta, Verdict};
 use crate::error::{Fault, FileError, HasFault};
 use crate::grid::TileId;
 use crate::store::{
@@ -79,17 +79,6 @@ impl TileFile {
             meta: arrays.meta()?,
         })
     }
-}
-
-/// What repeats tell of the levels in a grid, `[n, n]`, row 0 north, column 0 west.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ErrorGrids {
-    /// Standard error of each level in dB: 10 / ln 10 times the standard error of the mean power over
-    /// that mean, 0 to 4.343; 0 where there is no level.
-    pub std_error_db: Array2<f32>,
-    /// Share of the summed power that the first half of the repeats received, 0 to 1: the mean of that
-    /// half is 2 · share · mean, the other one's 2 · (1 − share) · mean. 0 where there is no level.
-    pub first_half_share: Option<Array2<f32>>,
 }
 
 /// The arrays of an imported map, `[n, n]`, row 0 north, column 0 west.

@@ -6,7 +6,9 @@
 mod common;
 mod dataset;
 mod evaluation;
+#[cfg(feature = "build")]
 mod files;
+mod mask;
 mod policy;
 mod rsrp;
 mod run;
@@ -23,9 +25,11 @@ pub use dataset::{
     ShardEntry, ShiftHistogram, SplitStatistics,
 };
 pub use evaluation::EvaluationManifest;
+#[cfg(feature = "build")]
 pub use files::{
-    ErrorGrids, RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,
+    RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,
 };
+pub use mask::{ErrorGrids, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED};
 pub use policy::PolicyManifest;
 pub use rsrp::{
     BaseStation, Evidence, ImportInputs, MapEntry, MapFile, MapQuality, MapReliability, MapWarning,

@@ -38,6 +38,7 @@ pub struct GivenInputs<'a> {
 
 /// The result of building an output once more.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Rebuilding {
     /// Files that were compared.
     pub files: usize,

@@ -72,6 +72,7 @@ pub struct Reason {
 
 /// All that changed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Diff {
     /// The first one.
     pub a: Side,

@@ -154,6 +154,7 @@ pub struct ReleaseJob<'a> {
 
 /// What was written.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Released {
     /// The directory.
     pub out: PathBuf,

@@ -6,8 +6,8 @@ use super::cell::{Actions, Cell};
 use crate::config::RlConfig;
 use crate::dataset::{Grids, Record};
 use crate::grid::TileId;
+use crate::manifest::MASK_BUILDING;
 use crate::random::Random;
-use crate::rsrp::MASK_BUILDING;
 
 const WORD: usize = u64::BITS as usize;
 
@@ -382,7 +382,7 @@ pub(crate) fn neighbours(cell: Cell) -> [Cell; 4] {
 pub(crate) mod tests {
     use super::*;
     use crate::dataset::example;
-    use crate::rsrp::{MASK_REACHED, MASK_UNREACHED};
+    use crate::manifest::{MASK_REACHED, MASK_UNREACHED};
 
     /// A map drawn by letters: `.` covered (-80 dBm), `#` a building of 10 m, `o` a hole
     /// (-120 dBm), `x` a cell that no path reaches.

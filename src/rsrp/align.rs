@@ -3,10 +3,12 @@
 use ndarray::Array2;
 
 use super::convert::to_rsrp;
-use super::map::{AlignedMap, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED, Relative};
+use super::map::{AlignedMap, Relative};
 use super::metadata::RadioMapMetadata;
 use super::window::{MapWindow, Occupancy};
-use crate::manifest::{ErrorGrids, MaskCounts, ValueKind};
+use crate::manifest::{
+    ErrorGrids, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED, MaskCounts, ValueKind,
+};
 use crate::reliability::std_error_db;
 use crate::units::Dbm;
 

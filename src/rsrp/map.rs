@@ -47,13 +47,6 @@ pub(super) struct Relative {
     pub(super) first_half: Option<f64>,
 }
 
-/// An outdoor cell that some path reaches.
-pub const MASK_REACHED: u8 = 0;
-/// A cell that lies wholly in buildings.
-pub const MASK_BUILDING: u8 = 1;
-/// An outdoor cell without a path.
-pub const MASK_UNREACHED: u8 = 2;
-
 /// A map in the form that everything after the import uses; `[n, n]`, row 0 north,
 /// column 0 west, over the central window.
 #[derive(Debug, Clone, PartialEq)]

@@ -27,7 +27,7 @@ mod window;
 pub use complete::Supplement;
 pub use convert::to_rsrp;
 pub use load::{Described, load_archive, load_metadata, load_values};
-pub use map::{AlignedMap, LoadedMap, MASK_BUILDING, MASK_REACHED, MASK_UNREACHED, Repeats};
+pub use map::{AlignedMap, LoadedMap, Repeats};
 pub use metadata::{
     DirectionShift, Marker, NoPathValue, Object, PowerReference, RadioMapMetadata, RowOrder,
     TxPosition,

@@ -110,6 +110,7 @@ impl RejectionCode {
 
 /// A map that is not taken.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Rejection {
     /// The named reason.
     pub code: RejectionCode,

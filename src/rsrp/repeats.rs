@@ -13,13 +13,13 @@ use std::io::{Read, Seek};
 use ndarray::{Array2, Zip};
 
 use super::check::{no_path, rounded};
-use super::map::{
-    AlignedMap, LoadedMap, MASK_BUILDING, MASK_REACHED, PlacedArray, Relative, Repeats,
-};
+use super::map::{AlignedMap, LoadedMap, PlacedArray, Relative, Repeats};
 use super::member::member_matrix;
 use super::metadata::{DirectionShift, RadioMapMetadata};
 use super::rejection::{Rejection, RejectionCode, some};
-use crate::manifest::{MapReliability, MapWarning, ValueKind, WarningCode};
+use crate::manifest::{
+    MASK_BUILDING, MASK_REACHED, MapReliability, MapWarning, ValueKind, WarningCode,
+};
 use crate::reliability::{HOLE_THRESHOLD, HoleModel, MAX_STD_ERROR_DB, relative_std_error};
 use crate::store::NpzReader;
 use crate::units::{Db, Dbm};

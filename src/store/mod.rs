@@ -3,29 +3,46 @@
 //! Everything that touches the disk passes through here, so that crash safety,
 //! determinism and size limits are each kept in one place.
 
+#[cfg(any(feature = "build", feature = "remote"))]
 mod atomic;
 mod hash;
+mod list;
 mod npy;
+#[cfg(feature = "build")]
 mod npz;
+#[cfg(feature = "build")]
 mod output;
 #[cfg(feature = "remote")]
 mod remote;
+#[cfg(feature = "torch")]
+mod seal;
+#[cfg(feature = "build")]
 mod sealed;
 mod seekable;
 
+#[cfg(feature = "build")]
 pub use atomic::{write_atomic, write_atomic_with};
 #[cfg(feature = "remote")]
 use hash::sha256_reader;
 pub use hash::{Digest, sha256_bytes, sha256_file};
-pub use npy::{DType, Element, Npy, NpyError, npy_bytes, read_npy};
+pub use list::{MANIFEST, SUMS, parse_sums, stays_inside};
+#[cfg(feature = "build")]
+pub use npy::npy_bytes;
+pub use npy::{DType, Element, Npy, NpyError, read_npy};
+#[cfg(feature = "build")]
 pub use npz::{MAX_METADATA, NpzError, NpzReader, npz_bytes};
-pub use output::{
-    Build, BuildMode, Built, Finished, Gap, Item, Items, MANIFEST, Opened, Output, OutputError,
-    Parallel, Part, SUMS, Task, TaskReport, demand_outside, lock, parse_sums, stays_inside,
-};
+#[cfg(feature = "build")]
+pub(crate) use output::{Build, Finished, Item, Items, Opened, Output, Parallel};
+#[cfg(feature = "build")]
+pub use output::{BuildMode, Built, Gap, OutputError, Part, Task, TaskReport};
+#[cfg(feature = "torch")]
+pub(crate) use output::{demand_outside, lock};
 #[cfg(feature = "remote")]
 pub use remote::{Remote, RemoteError};
-pub use sealed::{
-    SealError, read_sealed, remove_sealed, remove_unsealed, sealed_files, write_sealed,
-};
+#[cfg(feature = "torch")]
+pub(crate) use seal::{remove_sealed, remove_unsealed, write_sealed};
+#[cfg(feature = "build")]
+pub use sealed::SealError;
+#[cfg(feature = "build")]
+pub(crate) use sealed::{read_sealed, sealed_files};
 pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};

@@ -4,8 +4,10 @@
 //! anything is allocated; Python objects are never unpickled. Writing is left to
 //! `ndarray-npy`.
 
+#[cfg(feature = "build")]
 use half::f16;
 use ndarray::{Array, Array2, Dimension, ShapeBuilder};
+#[cfg(feature = "build")]
 use ndarray_npy::{WritableElement, WriteNpyExt};
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
@@ -58,6 +60,7 @@ pub enum NpyError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DType {
     /// IEEE half precision.
+    #[cfg(feature = "build")]
     Float16,
     /// IEEE single precision.
     Float32,
@@ -80,7 +83,9 @@ impl DType {
     #[must_use]
     pub fn size(self) -> usize {
         match self {
-            Self::Float16 | Self::Int16 | Self::UInt16 => 2,
+            #[cfg(feature = "build")]
+            Self::Float16 => 2,
+            Self::Int16 | Self::UInt16 => 2,
             Self::Float32 => 4,
             Self::Float64 => 8,
             Self::UInt8 => 1,
@@ -93,6 +98,7 @@ impl DType {
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
+            #[cfg(feature = "build")]
             Self::Float16 => "float16",
             Self::Float32 => "float32",
             Self::Float64 => "float64",
@@ -138,6 +144,7 @@ macro_rules! element {
         }
     };
 }
+#[cfg(feature = "build")]
 element!(f16, DType::Float16);
 element!(f32, DType::Float32);
 element!(f64, DType::Float64);
@@ -205,6 +212,7 @@ impl Npy<'_> {
     #[must_use]
     pub fn values_f64(&self) -> Vec<f64> {
         match self.dtype {
+            #[cfg(feature = "build")]
             DType::Float16 => self.decode::<f16>().map(f64::from).collect(),
             DType::Float32 => self.decode::<f32>().map(f64::from).collect(),
             DType::Float64 => self.decode::<f64>().collect(),
@@ -221,6 +229,7 @@ impl Npy<'_> {
         let size = self.dtype.size();
         let bytes = self.data.get(index.checked_mul(size)?..)?.get(..size)?;
         match self.dtype {
+            #[cfg(feature = "build")]
             DType::Float16 => Some(f16::decode(bytes, self.big_endian).to_f64()),
             DType::Float32 => Some(f32::decode(bytes, self.big_endian).into()),
             DType::Float64 => Some(f64::decode(bytes, self.big_endian)),
@@ -281,6 +290,7 @@ impl Npy<'_> {
     }
 }
 
+#[cfg(feature = "build")]
 /// The `.npy` file of an array, little-endian, C order.
 #[must_use]
 pub fn npy_bytes<A: WritableElement + Clone, D: Dimension>(array: &Array<A, D>) -> Vec<u8> {
@@ -359,6 +369,7 @@ fn parse_descr(value: &str) -> Result<(DType, bool), NpyError> {
     let descr = unquote(value).ok_or_else(unsupported)?;
     let (order, kind) = descr.split_at_checked(1).ok_or_else(unsupported)?;
     let dtype = match kind {
+        #[cfg(feature = "build")]
         "f2" => DType::Float16,
         "f4" => DType::Float32,
         "f8" => DType::Float64,

@@ -39,6 +39,7 @@ pub struct TrainJob<'a> {
 
 /// How a session of a run ended.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Ended {
     /// Updates done.
     pub updates: u64,

@@ -2,6 +2,7 @@
 
 /// Something that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub struct VerifyFailure {
     /// The file, relative to the directory.
     pub file: String,

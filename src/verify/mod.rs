@@ -27,6 +27,7 @@ pub use failure::VerifyFailure;
 
 /// The result of verifying a directory.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Verification {
     /// The manifest's schema: what kind of output this is.
     pub schema: String,

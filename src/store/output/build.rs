@@ -7,12 +7,13 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::dir::OutputDir;
+use super::error::OutputError;
 use super::journal::Plan;
 use super::part::{BuildMode, Part, TaskReport};
-use super::{MANIFEST, OutputError};
 use crate::error::FileError;
 use crate::progress::Progress;
 use crate::store::Digest;
+use crate::store::MANIFEST;
 
 /// What a run of a stage built.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,7 +39,7 @@ impl<M> Built<M> {
 
 /// What a stage learns before it reads large inputs.
 #[derive(Debug)]
-pub enum Opened<'a, M> {
+pub(crate) enum Opened<'a, M> {
     /// Its work is done already, as a task or a merge that is run once more finds.
     Done(Built<M>),
     /// The directory can take it.
@@ -47,7 +48,7 @@ pub enum Opened<'a, M> {
 
 /// How items use the threads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Parallel {
+pub(crate) enum Parallel {
     /// Several items at a time.
     Across,
     /// One item after the other, each on several threads: for items that are large.
@@ -56,7 +57,7 @@ pub enum Parallel {
 
 /// A directory that can take an output, and has not been touched yet.
 #[derive(Debug)]
-pub struct Build<'a> {
+pub(crate) struct Build<'a> {
     out: &'a Path,
     plan: Plan,
     mode: BuildMode,
@@ -70,7 +71,7 @@ impl<'a> Build<'a> {
     ///
     /// # Errors
     /// [`OutputError`] if the directory holds something else, or a damaged output.
-    pub fn open<M: DeserializeOwned>(
+    pub(crate) fn open<M: DeserializeOwned>(
         out: &'a Path,
         stage: &str,
         fingerprint: &str,
@@ -93,7 +94,7 @@ impl<'a> Build<'a> {
     ///
     /// # Errors
     /// [`OutputError`] if the directory holds something else.
-    pub fn open_whole(
+    pub(crate) fn open_whole(
         out: &'a Path,
         stage: &str,
         fingerprint: &str,
@@ -112,7 +113,7 @@ impl<'a> Build<'a> {
     ///
     /// # Errors
     /// [`OutputError`] if the directory has been taken meanwhile, or cannot be written.
-    pub fn begin(self) -> Result<Output, OutputError> {
+    pub(crate) fn begin(self) -> Result<Output, OutputError> {
         Ok(Output(OutputDir::begin(self.out, &self.plan, self.mode)?))
     }
 
@@ -125,7 +126,7 @@ impl<'a> Build<'a> {
     /// # Errors
     /// [`OutputError`] if the directory has been taken meanwhile, cannot be written, or lacks what
     /// other tasks should have built; and the first error of `build`.
-    pub fn run_items<P, T, E>(
+    pub(crate) fn run_items<P, T, E>(
         self,
         (label, parallel): (&str, Parallel),
         plan: &[P],
@@ -165,7 +166,7 @@ impl<'a> Build<'a> {
 
 /// What [`Build::run_items`] gives.
 #[derive(Debug)]
-pub enum Items<T> {
+pub(crate) enum Items<T> {
     /// This was a task, and its part is done.
     Part(TaskReport),
     /// All items of the plan, and the directory, to be completed.
@@ -174,14 +175,14 @@ pub enum Items<T> {
 
 /// The place of an item that is being built.
 #[derive(Debug)]
-pub struct Item<'a> {
+pub(crate) struct Item<'a> {
     key: String,
     output: &'a OutputDir,
 }
 
 /// What is remembered of an item whose files are written.
 #[derive(Debug)]
-pub struct Finished<T>(T);
+pub(crate) struct Finished<T>(T);
 
 impl Item<'_> {
     /// Writes the files of the item, by name and content, and notes in the journal that it is
@@ -189,7 +190,7 @@ impl Item<'_> {
     ///
     /// # Errors
     /// When writing fails; the item then counts as not done.
-    pub fn finish<T: Serialize>(
+    pub(crate) fn finish<T: Serialize>(
         self,
         files: &[(&str, &[u8])],
         item: impl FnOnce(&[Digest]) -> T,
@@ -200,7 +201,7 @@ impl Item<'_> {
 
 /// A directory that lacks only what belongs to the output as a whole.
 #[derive(Debug)]
-pub struct Output(OutputDir);
+pub(crate) struct Output(OutputDir);
 
 impl Output {
     /// Writes a file that belongs to the output as a whole. It is on the disk for good once
@@ -208,7 +209,7 @@ impl Output {
     ///
     /// # Errors
     /// When writing fails; the file is then absent.
-    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<Digest, FileError> {
+    pub(crate) fn write(&self, name: &str, bytes: &[u8]) -> Result<Digest, FileError> {
         self.0.write(name, bytes)
     }
 
@@ -217,7 +218,7 @@ impl Output {
     ///
     /// # Errors
     /// When writing fails; the directory then still counts as unfinished.
-    pub fn complete(self, manifest: &[u8]) -> Result<Digest, FileError> {
+    pub(crate) fn complete(self, manifest: &[u8]) -> Result<Digest, FileError> {
         self.0.complete(manifest)
     }
 }

@@ -14,12 +14,11 @@ use super::error::{Gap, OutputError};
 use super::journal::{self, Done, Journal, Line, Noted, Plan, lock, write_line};
 use super::part::{BuildMode, Part, Task, TaskReport};
 use super::presence;
-use super::removal::{directories, remove_finished, remove_inside, remove_leftovers, stays_inside};
-use super::{MANIFEST, SUMS};
+use super::removal::{directories, remove_finished, remove_inside, remove_leftovers};
 use crate::error::FileError;
 use crate::progress::Progress;
 use crate::store::atomic::{remove_if_there, sync_file, write_unsynced};
-use crate::store::{Digest, sha256_bytes, sha256_file, write_atomic};
+use crate::store::{Digest, MANIFEST, SUMS, sha256_bytes, sha256_file, stays_inside, write_atomic};
 
 /// A directory being filled.
 #[derive(Debug)]
@@ -407,10 +406,10 @@ fn sync_all(root: &Path, files: &BTreeMap<String, Digest>) -> Result<(), FileErr
 #[cfg(test)]
 mod tests {
     use super::super::journal::JOURNAL;
-    use super::super::parse_sums;
     use super::*;
     use crate::progress::Silent;
     use crate::store::atomic::TEMPORARY_PREFIX;
+    use crate::store::parse_sums;
 
     const MANIFEST_TEXT: &[u8] = br#"{"schema":"things.v1","fingerprint":"abc"}"#;
 

@@ -154,7 +154,7 @@ pub(super) fn write_line(journal: &mut File, line: &impl Serialize) -> std::io::
 ///
 /// # Errors
 /// [`OutputError::Busy`] if another process has locked it.
-pub fn lock(path: &Path, root: &Path, create: bool) -> Result<File, OutputError> {
+pub(crate) fn lock(path: &Path, root: &Path, create: bool) -> Result<File, OutputError> {
     let open = File::options().create(create).append(true).open(path);
     let journal = open.map_err(FileError::new("create", path))?;
     match journal.try_lock() {

@@ -24,23 +24,11 @@ mod part;
 mod presence;
 mod removal;
 
-pub use build::{Build, Built, Finished, Item, Items, Opened, Output, Parallel};
+pub use build::Built;
+pub(crate) use build::{Build, Finished, Item, Items, Opened, Output, Parallel};
 pub use error::{Gap, OutputError};
-pub use journal::lock;
+#[cfg(feature = "torch")]
+pub(crate) use journal::lock;
 pub use part::{BuildMode, Part, Task, TaskReport};
-pub use presence::demand_outside;
-pub use removal::stays_inside;
-
-/// Name of a stage's manifest.
-pub const MANIFEST: &str = "manifest.json";
-/// Name of the list of checksums, in the format of `sha256sum`.
-pub const SUMS: &str = "SHA256SUMS";
-
-/// The lines of a `SHA256SUMS` file as (digest, name).
-///
-/// # Errors
-/// The first line that is malformed or names something outside of the directory.
-pub fn parse_sums(text: &str) -> Result<Vec<(&str, &str)>, &str> {
-    let sound = |&(digest, name): &(&str, &str)| digest.len() == 64 && stays_inside(name);
-    text.lines().map(|line| line.split_once("  ").filter(sound).ok_or(line)).collect()
-}
+#[cfg(feature = "torch")]
+pub(crate) use presence::demand_outside;

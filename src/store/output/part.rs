@@ -55,6 +55,7 @@ impl BuildMode {
 
 /// What a task did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct TaskReport {
     /// The task.
     pub task: Task,

@@ -5,13 +5,14 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Deserialize;
 
+use super::error::OutputError;
 use super::journal::{self, Journal, Plan};
 use super::part::{BuildMode, Part};
-use super::{MANIFEST, OutputError, SUMS, parse_sums};
 use crate::error::FileError;
 use crate::progress::Progress;
 use crate::store::atomic::TEMPORARY_PREFIX;
 use crate::store::sha256_file;
+use crate::store::{MANIFEST, SUMS, parse_sums};
 
 /// What to do about a directory that is taken.
 const REPLACE: &str = "choose another directory, or pass --overwrite to replace it";
@@ -108,7 +109,7 @@ fn present(root: &Path, expected: &Plan, journals: &[Journal]) -> Result<Present
 ///
 /// # Errors
 /// [`OutputError::Inside`].
-pub fn demand_outside(root: &Path) -> Result<(), OutputError> {
+pub(crate) fn demand_outside(root: &Path) -> Result<(), OutputError> {
     let path = std::path::absolute(root).map_err(FileError::new("find", root))?;
     // What is not there yet has no links to be followed.
     let there = path.ancestors().find_map(|above| above.canonicalize().ok().map(|at| (above, at)));

@@ -1,5 +1,7 @@
 //! One download, begun again where it broke off.
 
+use std::time::Duration;
+
 use futures_util::StreamExt;
 use object_store::client::HttpError;
 use object_store::path::Path as ObjectPath;

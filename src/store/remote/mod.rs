@@ -27,7 +27,6 @@ use self::download::{RemoteFile, download, download_small};
 pub use self::error::RemoteError;
 use super::Digest;
 use crate::config::RemoteConfig;
-use crate::error::{Fault, FileError, HasFault};
 
 /// How often a transfer looks whether it is still wanted.
 const GLANCE: Duration = Duration::from_millis(50);
