@@ -11,7 +11,9 @@ use std::sync::Arc;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use holescout::config::RlConfig;
 use holescout::dataset::Dataset;
-use holescout::rl::{Cell, Encoder, Environment, Hops, Measurement, Random, Sight, State, World};
+use holescout::rl::{
+    Cell, Encoder, Environment, Hops, MapList, Measurement, Random, Sight, State, World,
+};
 
 /// Episodes at a time.
 const SLOTS: usize = 1024;
@@ -37,8 +39,8 @@ fn benchmark(criterion: &mut Criterion) {
 
     let mut group = criterion.benchmark_group("environment");
     group.throughput(Throughput::Elements(SLOTS as u64));
-    let mut environment =
-        Environment::new(&maps, SLOTS, config.max_steps, 0).expect("maps with holes");
+    let list = MapList::of(maps.clone()).expect("maps with holes");
+    let mut environment = Environment::new(&list, SLOTS, config.max_steps, 0);
     let mut random = Random::keyed(&[1]);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
     group.bench_function("step, random permissible action", |bencher| {
@@ -49,14 +51,14 @@ fn benchmark(criterion: &mut Criterion) {
                     set.nth(random.below(set.count())).expect("to stay is permissible")
                 })
                 .collect();
-            pool.install(|| environment.step(&actions))
+            pool.install(|| environment.step(&list, &actions))
         });
     });
     group.bench_function("step, random action", |bencher| {
         let count = environment.actions().count();
         bencher.iter(|| {
             let actions: Vec<usize> = (0..SLOTS).map(|_| random.below(count)).collect();
-            pool.install(|| environment.step(&actions))
+            pool.install(|| environment.step(&list, &actions))
         });
     });
     group.finish();

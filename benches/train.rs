@@ -93,7 +93,7 @@ fn rates(
 fn transitions(pool: &MapPool, count: u32) -> Vec<Transition> {
     let mut random = Random::keyed(&[9]);
     let transition = |_| {
-        let (number, map) = &pool.maps()[random.below(pool.maps().len())];
+        let (number, map) = &pool.maps().all()[random.below(pool.maps().len())];
         let free = map.free_cells();
         let mut cell = || free[random.below(free.len())];
         let path: Vec<Cell> = (0..5).map(|_| cell()).collect();
@@ -162,13 +162,13 @@ fn profile(
     train: &TrainConfig,
     device: Device,
 ) -> Result<(), Box<dyn std::error::Error>> {
-    let cells = pool.maps()[0].1.cells();
+    let cells = pool.maps().cells();
     let network = || QNetwork::new(cells, rl.reach_cells, train, device);
     let (mut policy, target) = (network()?, network()?);
-    let batcher = Batcher::new(pool.maps().to_vec(), rl, train, device);
+    let batcher = Batcher::new(pool.maps(), rl, train, device);
     let transitions = transitions(pool, train.batch_size);
     let mut random = Random::keyed(&[1]);
-    let batch: Batch = batcher.batch(&transitions, true, &mut random);
+    let batch: Batch = batcher.batch(pool.maps(), &transitions, true, &mut random);
     let gradients = |policy: &QNetwork| {
         let parts = loss(policy, &target, &batch, None, train);
         Tensor::run_backward(&[&parts.total], policy.leaves(), false, false)
@@ -187,7 +187,7 @@ fn profile(
     let whole = median(|| trainer.update().expect("maps are in memory"));
     let acting = median(|| trainer.act().expect("maps are in memory"));
     let learning = median(|| trainer.learn());
-    let encoding = median(|| drop(batcher.batch(&transitions, true, &mut random)));
+    let encoding = median(|| drop(batcher.batch(pool.maps(), &transitions, true, &mut random)));
     let inputs = policy.inputs(&batch.map, &batch.window);
     let preparing = median(|| drop(policy.inputs(&batch.map, &batch.window)));
     let forward = median(|| drop(policy.best_actions(&inputs, None)));

@@ -5,7 +5,6 @@
 //! with different weights, and writes `OUT/{inputs,policy,target,outputs}.safetensors`.
 
 use std::path::Path;
-use std::sync::Arc;
 
 use holescout::config::{Encoding, Precision, RlConfig, Split, TrainConfig};
 use holescout::dataset::Dataset;
@@ -66,20 +65,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let train = TrainConfig { precision: Precision::Float32, ..preset };
     let dataset = Dataset::open(dataset.as_ref())?;
     let pool = MapSource::maps(load_split(&dataset, Split::Train, &rl)?).fill()?;
-    let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
-    let mut environment = Environment::new(&maps, BATCH, rl.max_steps, 3)?;
+    let maps = pool.maps();
+    let mut environment = Environment::new(maps, BATCH, rl.max_steps, 3);
     let mut random = Random::keyed(&[4]);
     let mut recent = vec![NStepBuffer::default(); BATCH];
     let mut transitions = Vec::new();
     for _ in 0..STEPS {
         let before: Vec<_> = (0..BATCH)
             .map(|slot| {
-                let number = pool.maps()[environment.map(slot)].0;
-                (number, environment.state(slot).1.to_vec())
+                let (map, visited) = environment.state(slot);
+                (map, visited.to_vec())
             })
             .collect();
         let actions: Vec<usize> = (0..BATCH).map(|_| random.below(961)).collect();
-        let outcomes = environment.step(&actions);
+        let outcomes = environment.step(maps, &actions);
         for (slot, ((map, mut path), outcome)) in before.into_iter().zip(outcomes).enumerate() {
             path.push(outcome.next);
             let ends = [outcome.terminal || outcome.truncated, outcome.terminal];
@@ -89,8 +88,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let transitions = random.sample(&transitions.iter().collect::<Vec<_>>(), BATCH);
     let transitions: Vec<_> = transitions.into_iter().cloned().collect();
-    let batcher = Batcher::new(pool.maps().to_vec(), &rl, &train, Device::Cpu);
-    let batch = batcher.batch(&transitions, train.augment, &mut random);
+    let batcher = Batcher::new(maps, &rl, &train, Device::Cpu);
+    let batch = batcher.batch(maps, &transitions, train.augment, &mut random);
     let weights: Vec<f32> = (0..BATCH).map(|_| random.unit() as f32).collect();
     let weights = (train.priority_alpha > 0.0).then(|| Tensor::from_slice(&weights));
     let cells = dataset.manifest().cells as usize;

@@ -189,7 +189,7 @@ fn flags_of_scenes_override_too() {
         "492",
     ];
     let mut expected = Config::default();
-    let scene = &mut expected.scenes;
+    let scenes = &mut expected.scenes;
     (scenes.placement, scenes.base_stations, scenes.seed) = (Placement::Roof, 4, 9);
     (scenes.height_above_m, scenes.map_size_m) = (3.5, Some(492));
     assert_eq!(parsed(&printed(&flags)), expected);

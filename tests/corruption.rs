@@ -10,9 +10,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use holescout::config::{OnDamage, Split};
-use holescout::dataset::{Dataset, Grids, Loader, LoaderOptions, Record, verify};
+use holescout::dataset::{Dataset, Grids, Loader, LoaderOptions, Record};
 use holescout::grid::TileId;
 use holescout::progress::Silent;
+use holescout::verify::verify;
 
 use pipeline::{HELSINKI, Random, copy_of, write};
 

@@ -13,8 +13,8 @@ use serde_json::Value;
 
 use pipeline::repeats::{REPEATED, REPEATS};
 use pipeline::{
-    HELSINKI, assert_same_files, assert_says, copy_of, holescout, read, read_json, run, shared_dir,
-    temporary_dir, tree, verify, write,
+    HELSINKI, assert_same_files, assert_says, copy_of, holescout, read, read_json, run, sha256,
+    shared_dir, temporary_dir, tree, verify, write,
 };
 
 const FILES: [&str; 14] = [
@@ -77,6 +77,25 @@ fn an_evaluation_is_whole_and_verifies() {
     let (_dir, copy, _) = copy_of(&EVALUATION);
     write(&copy.join("scores.csv"), "method\n");
     assert_says(&run(&mut verify(&copy)).refused(), &["scores.csv", "SHA-256"]);
+}
+
+/// Checksums made anew do not hide that tables, report and manifest contradict each other.
+#[test]
+fn an_evaluation_that_contradicts_itself_does_not_verify() {
+    for (file, from, to, says) in [
+        ("scores.csv", "oracle", "agent", "scores.csv: its figures are not those of report.json"),
+        ("report.json", "\"split\": \"val\"", "\"split\": \"test\"", "report.json: split differs"),
+        ("report.json", "\"bootstrap\"", "\"bootsprat\"", "report.json: "),
+    ] {
+        let (_dir, copy, files) = copy_of(&EVALUATION);
+        let text = String::from_utf8(files[file].clone()).expect("text");
+        assert!(text.contains(from), "{file} has {from}");
+        let sums = String::from_utf8(files["SHA256SUMS"].clone()).expect("text");
+        write(&copy.join(file), text.replacen(from, to, 1));
+        let sums = sums.replace(&sha256(&files[file]), &sha256(&read(&copy.join(file))));
+        write(&copy.join("SHA256SUMS"), sums);
+        assert_says(&run(&mut verify(&copy)).refused(), &[says]);
+    }
 }
 
 #[test]

@@ -32,7 +32,7 @@ fn pool(dataset: &Arc<Dataset>, maps: usize, seed: u64) -> MapPool {
 }
 
 fn numbers(pool: &MapPool) -> Vec<u32> {
-    pool.maps().iter().map(|&(number, _)| number).collect()
+    pool.maps().all().iter().map(|&(number, _)| number).collect()
 }
 
 #[test]
@@ -42,7 +42,7 @@ fn a_split_that_fits_is_held_in_the_order_of_its_names() {
     assert!(all.len() > HELD);
     let mut pool = pool(&dataset, all.len(), 0);
     assert!(!pool.is_streamed());
-    for (number, map) in pool.maps() {
+    for (number, map) in pool.maps().all() {
         assert_eq!(map.id(), all[*number as usize].id());
     }
     assert_eq!(pool.refresh().expect("nothing to read"), None);
@@ -60,13 +60,12 @@ fn a_part_of_a_split_changes_until_all_maps_were_there() {
     assert_eq!(seen.len(), HELD);
     for refreshed in 0..3 * all.len() {
         let before = numbers(&pool);
-        let place = pool.refresh().expect("read").expect("another map");
-        assert_eq!(place, refreshed % HELD, "the one that is there for longest");
-        let after = numbers(&pool);
-        assert!(!before.contains(&after[place]), "one that was not there");
-        let (number, map) = &pool.maps()[place];
-        assert_eq!(map.id(), all[*number as usize].id());
-        seen.insert(*number);
+        let [gone, by] = pool.refresh().expect("read").expect("another map");
+        assert_eq!(gone, before[refreshed % HELD], "the one that is there for longest");
+        assert!(!before.contains(&by), "one that was not there");
+        assert_eq!(pool.maps().place(by), refreshed % HELD);
+        assert_eq!(pool.maps().get(by).id(), all[by as usize].id());
+        seen.insert(by);
     }
     let usable = all.iter().filter(|map| map.can_teach()).count();
     assert_eq!(seen.len(), usable);

@@ -337,3 +337,35 @@ fn a_signal_stops_a_long_validation_and_nothing_is_lost() {
     let schema = jsonschema::validator_for(&read_json(&schema)).expect("a schema");
     assert!(schema.is_valid(&read_json(&out.join("run.json"))));
 }
+
+/// Each checkpoint vouches for its files; what they tell must be that of the run.
+#[test]
+fn a_run_and_the_policy_of_it_verify_until_something_is_changed() {
+    let (dir, _, out) = trained(24);
+    let said = run(&mut verify(&out)).succeeds();
+    assert_says(&said, &["sound"]);
+    let policy = dir.path().join("policy");
+    run(holescout("export-policy").arg(out.join("best")).arg("--out").arg(&policy)).succeeds();
+    run(&mut verify(&policy)).succeeds();
+
+    let last = checkpoint(&out, 24);
+    for (file, says) in [
+        ("checkpoints/000000024/learning.safetensors", "learning.safetensors"),
+        ("best/weights.safetensors", "best/weights.safetensors"),
+        ("log.jsonl", "log.jsonl: line 1: no update"),
+        ("run.json", "run.json"),
+    ] {
+        let path = out.join(file);
+        let before = read(&path);
+        let mut damaged = before.clone();
+        damaged[0] ^= 0x55;
+        write(&path, damaged);
+        assert_says(&run(&mut verify(&out)).refused(), &[says]);
+        write(&path, before);
+    }
+    let elsewhere = checkpoint(&out, 23);
+    std::fs::rename(&last, &elsewhere).expect("renamed");
+    assert_says(&run(&mut verify(&out)).refused(), &["000000023/state.msgpack: of update 24"]);
+    std::fs::rename(&elsewhere, &last).expect("renamed");
+    run(&mut verify(&out)).succeeds();
+}

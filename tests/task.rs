@@ -15,7 +15,9 @@ use holescout::dataset::{Dataset, Grids, Record};
 use holescout::rl::policy::{
     Descent, DescentStyle, OptimalWay, Policy, RandomWalk, ShadowSeeker, View, WallWalk,
 };
-use holescout::rl::{Cell, Environment, Flight, Hops, Random, Sight, World, neighbourhood};
+use holescout::rl::{
+    Cell, Environment, Flight, Hops, MapList, Random, Sight, World, neighbourhood,
+};
 use ndarray::Array2;
 use proptest::prelude::*;
 
@@ -176,12 +178,12 @@ proptest! {
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
             pool.expect("a pool").install(|| {
-                let maps = [Arc::new(world.clone())];
-                let mut environment = Environment::new(&maps, 300, 3, seed).ok()?;
+                let maps = MapList::of(vec![Arc::new(world.clone())]).ok()?;
+                let mut environment = Environment::new(&maps, 300, 3, seed);
                 let mut random = Random::keyed(&[seed]);
                 let outcomes = (0..4).map(|_| {
                     let actions: Vec<usize> = (0..300).map(|_| random.below(81)).collect();
-                    environment.step(&actions)
+                    environment.step(&maps, &actions)
                 });
                 Some(outcomes.collect::<Vec<_>>())
             })

@@ -278,14 +278,14 @@ fn checkpoints_of_an_older_version_are_refused_with_the_way_on() {
     for checkpoint in ["checkpoints/000000002", "best"] {
         let state = out.join(checkpoint).join("state.msgpack");
         let mut bytes = read(&state);
-        let version = b"checkpoint.v4";
+        let version = b"checkpoint.v5";
         let at = bytes.windows(version.len()).position(|window| window == version);
         let last = at.expect("the schema is told") + version.len() - 1;
         bytes[last] = b'1';
         write(&state, bytes);
         std::fs::remove_file(out.join(checkpoint).join("SHA256SUMS")).expect("it was there");
     }
-    let way_on = ["checkpoint.v1", "checkpoint.v4", "another directory"];
+    let way_on = ["checkpoint.v1", "checkpoint.v5", "another directory"];
     assert_says(&run(&mut train(&out, &config, &["--updates", "2"])).refused(), &way_on);
     let mut command = evaluate(&HELSINKI.dataset, &out.join("best"), &dir.path().join("none"));
     assert_says(&run(&mut command).refused(), &way_on);
@@ -349,11 +349,11 @@ fn a_single_map_that_changes_at_every_step_can_be_learned_from() {
     let source = MapSource::split(&dataset, Split::Train, &config.rl, 0, 0);
     let pool = source.fill().expect("a map");
     assert_eq!(pool.maps().len(), 1);
-    let before = pool.maps()[0].0;
+    let before = pool.maps().all()[0].0;
     let mut trainer = Trainer::new(setup, pool).expect("there is something to learn");
     (0..4).for_each(|_| trainer.update().expect("maps are read"));
     assert_eq!(trainer.updates(), 4);
-    assert_ne!(trainer.pool().maps()[0].0, before, "it was replaced");
+    assert_ne!(trainer.pool().maps().all()[0].0, before, "it was replaced");
 }
 
 /// The random walk, made for any map.

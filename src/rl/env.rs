@@ -1,12 +1,13 @@
 //! Episodes of training: flights that begin at random free cells, many at a time.
 
-use std::sync::Arc;
+use std::collections::HashMap;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cell::{Actions, Cell};
 use super::flight::{fly, reward};
+use super::maps::{MapKey, MapList};
 use super::sight::{ActionSet, Sight};
 use super::world::World;
 use crate::random::Random;
@@ -31,7 +32,7 @@ pub struct Outcome {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EpisodeState {
     episodes: u64,
-    map: usize,
+    map: MapKey,
     visited: Vec<Cell>,
 }
 
@@ -41,35 +42,23 @@ pub struct EpisodeState {
 struct Slot {
     number: u64,
     episodes: u64,
-    map: usize,
+    map: MapKey,
     visited: Vec<Cell>,
     permissible: ActionSet,
 }
 
-/// Many episodes at a time over a pool of maps; actions in, rewards out.
+/// Where episodes begin on each map, as positions in row-major order.
+type Starts = HashMap<MapKey, Vec<u32>>;
+
+/// Many episodes at a time over a list of maps; actions in, rewards out. The list is always the same one: who
+/// replaces a map in it says so by [`Environment::replace`].
 #[derive(Debug)]
 pub struct Environment {
     seed: u64,
     max_steps: usize,
     sight: Sight,
-    maps: Vec<Arc<World>>,
-    /// Where episodes begin, for each map.
-    starts: Vec<Vec<u32>>,
+    starts: Starts,
     slots: Vec<Slot>,
-}
-
-/// There is nowhere to begin.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[error("none of {maps} maps has both a coverage hole and a covered free cell: nothing to learn")]
-pub struct NothingToLearn {
-    /// Number of maps.
-    pub maps: usize,
-}
-
-impl crate::error::HasFault for NothingToLearn {
-    fn fault(&self) -> crate::error::Fault {
-        crate::error::Fault::Input
-    }
 }
 
 /// Free cells that are no holes, as positions in row-major order.
@@ -78,22 +67,11 @@ fn covered(map: &World) -> Vec<u32> {
 }
 
 impl Environment {
-    /// `slots` episodes at a time. Maps without a hole or without a covered free cell are left out.
-    ///
-    /// # Errors
-    /// If no map is left.
-    pub fn new(
-        maps: &[Arc<World>],
-        slots: usize,
-        max_steps: u32,
-        seed: u64,
-    ) -> Result<Self, NothingToLearn> {
-        let usable: Vec<_> = maps.iter().filter(|map| map.can_teach()).cloned().collect();
-        let Some(first) = usable.first() else {
-            return Err(NothingToLearn { maps: maps.len() });
-        };
-        let starts = usable.iter().map(|map| covered(map)).collect();
-        let sight = Sight::new(first.reach() as u32);
+    /// `slots` episodes at a time.
+    #[must_use]
+    pub fn new(maps: &MapList, slots: usize, max_steps: u32, seed: u64) -> Self {
+        let starts = maps.all().iter().map(|(key, map)| (*key, covered(map))).collect();
+        let sight = Sight::new(maps.all()[0].1.reach() as u32);
         let slots = (0..slots as u64).map(|number| Slot {
             number,
             episodes: 0,
@@ -101,14 +79,11 @@ impl Environment {
             visited: Vec::new(),
             permissible: sight.empty(),
         });
-        let slots = slots.collect();
-        let max_steps = max_steps as usize;
-        let mut environment = Self { seed, max_steps, sight, maps: usable, starts, slots };
-        let Self { slots, sight, maps, starts, .. } = &mut environment;
-        for slot in slots {
-            slot.begin(seed, sight, maps, starts);
+        let mut slots: Vec<Slot> = slots.collect();
+        for slot in &mut slots {
+            slot.begin(seed, &sight, maps, &starts);
         }
-        Ok(environment)
+        Self { seed, max_steps: max_steps as usize, sight, starts, slots }
     }
 
     /// The actions.
@@ -131,15 +106,9 @@ impl Environment {
 
     /// Map and visited cells of an episode, the start first.
     #[must_use]
-    pub fn state(&self, slot: usize) -> (&Arc<World>, &[Cell]) {
+    pub fn state(&self, slot: usize) -> (MapKey, &[Cell]) {
         let slot = &self.slots[slot];
-        (&self.maps[slot.map], &slot.visited)
-    }
-
-    /// Number of the map that an episode takes place on.
-    #[must_use]
-    pub fn map(&self, slot: usize) -> usize {
-        self.slots[slot].map
+        (slot.map, &slot.visited)
     }
 
     /// Where the next step of an episode may lead.
@@ -154,22 +123,19 @@ impl Environment {
         &self.sight
     }
 
-    /// The maps that episodes take place on, in the order of their numbers.
-    #[must_use]
-    pub fn maps(&self) -> &[Arc<World>] {
-        &self.maps
-    }
-
-    /// Puts another map, one that [can teach](World::can_teach), in the place of one. Episodes on
-    /// the old one are over: `cut` receives their slots and visited cells.
-    ///
-    /// # Panics
-    /// If there is no map of this number, or the new one has no covered cell.
-    pub fn replace(&mut self, map: usize, by: &Arc<World>, mut cut: impl FnMut(usize, &[Cell])) {
-        self.maps[map] = Arc::clone(by);
-        self.starts[map] = covered(by);
-        let Self { seed, sight, maps, starts, slots, .. } = self;
-        for (number, slot) in slots.iter_mut().enumerate().filter(|(_, slot)| slot.map == map) {
+    /// In the list the map `by` has taken the place of `gone`. Episodes on that one are over: `cut` receives
+    /// their slots and visited cells.
+    pub fn replace(
+        &mut self,
+        maps: &MapList,
+        gone: MapKey,
+        by: MapKey,
+        mut cut: impl FnMut(usize, &[Cell]),
+    ) {
+        self.starts.remove(&gone);
+        self.starts.insert(by, covered(maps.get(by)));
+        let Self { seed, sight, starts, slots, .. } = self;
+        for (number, slot) in slots.iter_mut().enumerate().filter(|(_, slot)| slot.map == gone) {
             cut(number, &slot.visited);
             slot.begin(*seed, sight, maps, starts);
         }
@@ -188,11 +154,10 @@ impl Environment {
 
     /// Goes on where a checkpoint was made; `false`, and nothing is changed, if it does not fit.
     #[must_use]
-    pub fn restore(&mut self, episodes: &[EpisodeState]) -> bool {
+    pub fn restore(&mut self, maps: &MapList, episodes: &[EpisodeState]) -> bool {
         let fits = |state: &EpisodeState| {
             let last = state.visited.last();
-            let map = self.maps.get(state.map);
-            map.zip(last).is_some_and(|(map, &last)| map.is_free(last))
+            maps.contains(state.map) && last.is_some_and(|&last| maps.get(state.map).is_free(last))
         };
         if episodes.len() != self.slots.len() || !episodes.iter().all(fits) {
             return false;
@@ -201,7 +166,7 @@ impl Environment {
             (slot.episodes, slot.map) = (state.episodes, state.map);
             slot.visited.clone_from(&state.visited);
             let last = *slot.visited.last().expect("checked above");
-            self.sight.permissible_into(&self.maps[slot.map], last, &mut slot.permissible);
+            self.sight.permissible_into(maps.get(slot.map), last, &mut slot.permissible);
         }
         true
     }
@@ -211,9 +176,9 @@ impl Environment {
     ///
     /// # Panics
     /// If there is not an action for each episode, or one has no such number.
-    pub fn step(&mut self, actions: &[usize]) -> Vec<Outcome> {
+    pub fn step(&mut self, maps: &MapList, actions: &[usize]) -> Vec<Outcome> {
         assert_eq!(actions.len(), self.slots.len(), "an action for each episode");
-        let Self { seed, max_steps, sight, maps, starts, slots } = self;
+        let Self { seed, max_steps, sight, starts, slots } = self;
         slots
             .par_iter_mut()
             .zip(actions)
@@ -224,15 +189,16 @@ impl Environment {
 }
 
 impl Slot {
-    fn begin(&mut self, seed: u64, sight: &Sight, maps: &[Arc<World>], starts: &[Vec<u32>]) {
+    fn begin(&mut self, seed: u64, sight: &Sight, maps: &MapList, starts: &Starts) {
         let mut random = Random::keyed(&[seed, EPISODES, self.number, self.episodes]);
         self.episodes += 1;
-        self.map = random.below(maps.len());
-        let from = &starts[self.map];
-        let start = maps[self.map].cell(from[random.below(from.len())] as usize);
+        let (key, map) = &maps.all()[random.below(maps.len())];
+        self.map = *key;
+        let from = &starts[key];
+        let start = map.cell(from[random.below(from.len())] as usize);
         self.visited.clear();
         self.visited.push(start);
-        sight.permissible_into(&maps[self.map], start, &mut self.permissible);
+        sight.permissible_into(map, start, &mut self.permissible);
     }
 
     fn step(
@@ -241,10 +207,10 @@ impl Slot {
         seed: u64,
         max_steps: usize,
         sight: &Sight,
-        maps: &[Arc<World>],
-        starts: &[Vec<u32>],
+        maps: &MapList,
+        starts: &Starts,
     ) -> Outcome {
-        let world = &*maps[self.map];
+        let world = &**maps.get(self.map);
         let from = *self.visited.last().expect("an episode has a start");
         let waypoint = from + sight.actions().offset(action);
         let (position, permissible) =
@@ -264,20 +230,24 @@ impl Slot {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::rl::world::tests::world;
 
-    fn environment(slots: usize) -> Environment {
+    fn environment(slots: usize) -> (MapList, Environment) {
         let maps = ["...\n.#o\n...", "...\n...\n...", "ooo\nooo\nooo"];
-        let maps: Vec<_> = maps.iter().map(|map| Arc::new(world(map, 2))).collect();
-        Environment::new(&maps, slots, 3, 5).expect("the first map is usable")
+        let maps = maps.iter().map(|map| Arc::new(world(map, 2))).collect();
+        let maps = MapList::of(maps).expect("the first map is usable");
+        let environment = Environment::new(&maps, slots, 3, 5);
+        (maps, environment)
     }
 
     /// A 5 × 5 window: 12 is to stay, 13 one to the east.
     #[test]
     fn episodes_end_at_holes_or_at_the_time_limit() {
-        let mut environment = environment(1);
-        let stay = |environment: &mut Environment| environment.step(&[12])[0];
+        let (maps, mut environment) = environment(1);
+        let stay = |environment: &mut Environment| environment.step(&maps, &[12])[0];
         let outcomes: Vec<Outcome> = (0..3).map(|_| stay(&mut environment)).collect();
         assert!(outcomes.iter().all(|outcome| outcome.reward == -0.25 && !outcome.terminal));
         assert_eq!(outcomes.iter().map(|o| o.truncated).collect::<Vec<_>>(), [false, false, true]);
@@ -287,7 +257,7 @@ mod tests {
         let mut rewards = std::collections::BTreeSet::new();
         let mut found = 0;
         for step in 0..2000 {
-            let outcome = environment.step(&[step * 7 % 25])[0];
+            let outcome = environment.step(&maps, &[step * 7 % 25])[0];
             assert!(outcome.reward != 0.0 || outcome.terminal);
             found += usize::from(outcome.terminal);
             rewards.insert((outcome.reward * 100.0) as i32);
@@ -298,25 +268,25 @@ mod tests {
 
     #[test]
     fn episodes_do_not_depend_on_their_number() {
-        let (mut few, mut many) = (environment(2), environment(200));
+        let ((maps, mut few), (_, mut many)) = (environment(2), environment(200));
         for step in 0..50 {
             let actions =
                 |slots: usize| (0..slots).map(|slot| (slot + step) % 25).collect::<Vec<_>>();
-            assert_eq!(few.step(&actions(2)), many.step(&actions(200))[..2]);
+            assert_eq!(few.step(&maps, &actions(2)), many.step(&maps, &actions(200))[..2]);
             assert_eq!(few.state(1).1, many.state(1).1);
         }
     }
 
     #[test]
     fn restored_episodes_go_on_as_the_saved_ones() {
-        let (mut saved, mut restored) = (environment(9), environment(9));
+        let ((maps, mut saved), (_, mut restored)) = (environment(9), environment(9));
         let step = |environment: &mut Environment, step: usize| {
-            environment.step(&(0..9).map(|slot| (slot * 5 + step) % 25).collect::<Vec<_>>())
+            environment.step(&maps, &(0..9).map(|slot| (slot * 5 + step) % 25).collect::<Vec<_>>())
         };
         (0..7).for_each(|at| drop(step(&mut saved, at)));
         let state = saved.save();
-        assert!(!restored.restore(&state[1..]), "of another number");
-        assert!(restored.restore(&state));
+        assert!(!restored.restore(&maps, &state[1..]), "of another number");
+        assert!(restored.restore(&maps, &state));
         for at in 7..30 {
             assert_eq!(step(&mut saved, at), step(&mut restored, at));
         }
@@ -324,22 +294,16 @@ mod tests {
 
     #[test]
     fn a_replaced_map_ends_the_episodes_on_it() {
-        let mut environment = environment(4);
-        environment.step(&[12; 4]);
+        let (mut maps, mut environment) = environment(4);
+        environment.step(&maps, &[12; 4]);
         let other = Arc::new(world("o..\n...\n..#", 2));
         let mut ended = Vec::new();
-        environment.replace(0, &other, |slot, visited| ended.push((slot, visited.len())));
+        assert_eq!(maps.replace(0, 7, Arc::clone(&other)), 0);
+        environment.replace(&maps, 0, 7, |slot, visited| ended.push((slot, visited.len())));
         assert_eq!(ended, [(0, 2), (1, 2), (2, 2), (3, 2)]);
         for slot in 0..4 {
             let (map, visited) = environment.state(slot);
-            assert!(Arc::ptr_eq(map, &other) && visited.len() == 1 && other.is_free(visited[0]));
+            assert!(map == 7 && visited.len() == 1 && other.is_free(visited[0]));
         }
-    }
-
-    #[test]
-    fn maps_without_a_hole_teach_nothing() {
-        let maps = [Arc::new(world("..\n..", 2)), Arc::new(world("oo\noo", 2))];
-        let error = Environment::new(&maps, 4, 3, 0).expect_err("nothing to learn");
-        assert_eq!(error, NothingToLearn { maps: 2 });
     }
 }

@@ -18,6 +18,7 @@ mod encode;
 mod env;
 mod flight;
 mod inputs;
+mod maps;
 mod oracle;
 pub mod policy;
 mod pool;
@@ -33,11 +34,12 @@ pub use cell::{Actions, Cell};
 pub use centered::CenteredEncoder;
 pub use distance::{neighbourhood, wall_distances_m};
 pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
-pub use env::{Environment, EpisodeState, NothingToLearn, Outcome};
+pub use env::{Environment, EpisodeState, Outcome};
 pub use flight::{
     Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step, rewards_into,
 };
 pub use inputs::StateEncoder;
+pub use maps::{MapKey, MapList, NothingToLearn};
 pub use oracle::Hops;
 pub use pool::{MapPool, MapSource, PoolError, PoolState, load_sample, load_split};
 pub use replay::{MAX_STEPS, ReplayBuffer, Sample, Transition};

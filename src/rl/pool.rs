@@ -8,7 +8,7 @@ use std::time::Duration;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::env::NothingToLearn;
+use super::maps::{MapKey, MapList, NothingToLearn};
 use super::world::World;
 use crate::config::{OnDamage, RlConfig, Split};
 use crate::dataset::{Dataset, Loader, LoaderError, LoaderOptions, ReadError};
@@ -72,7 +72,7 @@ fn load_sound(
     dataset: &Dataset,
     split: Split,
     config: &RlConfig,
-) -> Result<(Numbered, BTreeMap<TileId, String>), ReadError> {
+) -> Result<(Keyed, BTreeMap<TileId, String>), ReadError> {
     let ids = dataset.ids_of(split);
     let loaded: Vec<_> = ids.par_iter().map(|&id| load_one(dataset, id, config)).collect();
     let (mut sound, mut damaged, mut last) = (Vec::new(), BTreeMap::new(), None);
@@ -127,7 +127,7 @@ impl HasFault for PoolError {
 /// What a checkpoint must keep of a pool.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PoolState {
-    /// Numbers of the maps in it.
+    /// Keys of the maps in it.
     numbers: Vec<u32>,
     /// What the loader reads next.
     cursor: u64,
@@ -135,11 +135,10 @@ pub struct PoolState {
     replaced: u64,
 }
 
-/// Maps to train on, each with its number: its position among the records of the split. Maps that
-/// cannot teach anything are left out.
+/// Maps to train on. Those that cannot teach anything are left out.
 #[derive(Debug)]
 pub struct MapPool {
-    maps: Numbered,
+    maps: MapList,
     replaced: u64,
     stream: Option<Stream>,
     /// Maps that were left out when all were read.
@@ -297,13 +296,13 @@ impl MapSource {
 /// What a source gives.
 enum OpenedMaps {
     /// All maps, and what is wrong with those that were left out.
-    Whole { maps: Numbered, damaged: BTreeMap<TileId, String> },
+    Whole { maps: Keyed, damaged: BTreeMap<TileId, String> },
     /// So many at a time.
     Part { stream: Stream, capacity: usize },
 }
 
-/// Maps with their numbers.
-type Numbered = Vec<(u32, Arc<World>)>;
+/// Maps with their keys.
+type Keyed = Vec<(MapKey, Arc<World>)>;
 
 impl MapPool {
     /// Memory that the maps of a split of `records` take at most, and those that are read ahead.
@@ -313,22 +312,18 @@ impl MapPool {
     }
 
     /// Those of the maps that can teach something.
-    fn of(maps: Numbered, stream: Option<Stream>) -> Result<Self, PoolError> {
-        let all = maps.len();
-        let maps: Numbered = maps.into_iter().filter(|(_, map)| map.can_teach()).collect();
-        if maps.is_empty() {
-            return Err(NothingToLearn { maps: all }.into());
-        }
+    fn of(maps: Keyed, stream: Option<Stream>) -> Result<Self, PoolError> {
+        let maps = MapList::new(maps)?;
         Ok(Self { maps, replaced: 0, stream, damaged: BTreeMap::new() })
     }
 
-    fn whole(maps: Numbered, damaged: BTreeMap<TileId, String>) -> Result<Self, PoolError> {
+    fn whole(maps: Keyed, damaged: BTreeMap<TileId, String>) -> Result<Self, PoolError> {
         Ok(Self { damaged, ..Self::of(maps, None)? })
     }
 
-    /// The maps, and their numbers.
+    /// The maps.
     #[must_use]
-    pub fn maps(&self) -> &[(u32, Arc<World>)] {
+    pub fn maps(&self) -> &MapList {
         &self.maps
     }
 
@@ -338,17 +333,18 @@ impl MapPool {
         self.stream.is_some()
     }
 
-    /// Replaces the map that is in the pool for longest, if there is another; returns its place.
+    /// Replaces the map that is in the pool for longest, if there is another; returns the keys of the old
+    /// one and the new one.
     ///
     /// # Errors
     /// If a record cannot be read.
-    pub fn refresh(&mut self) -> Result<Option<usize>, PoolError> {
+    pub fn refresh(&mut self) -> Result<Option<[MapKey; 2]>, PoolError> {
         let Some(stream) = &mut self.stream else { return Ok(None) };
-        let Some(next) = stream.next(&self.maps)? else { return Ok(None) };
+        let Some((key, map)) = stream.next(self.maps.all())? else { return Ok(None) };
         let place = (self.replaced % self.maps.len() as u64) as usize;
-        self.maps[place] = next;
+        let gone = self.maps.replace(place, key, map);
         self.replaced += 1;
-        Ok(Some(place))
+        Ok(Some([gone, key]))
     }
 
     /// How long training had to wait for maps so far.
@@ -367,7 +363,7 @@ impl MapPool {
     #[must_use]
     pub fn state(&self) -> PoolState {
         PoolState {
-            numbers: self.maps.iter().map(|&(number, _)| number).collect(),
+            numbers: self.maps.all().iter().map(|&(key, _)| key).collect(),
             cursor: self.stream.as_ref().map_or(0, |stream| stream.loader.cursor()),
             replaced: self.replaced,
         }
@@ -376,10 +372,13 @@ impl MapPool {
 
 impl Stream {
     /// The next map that can teach something and is not among these, within an epoch.
-    fn next(&mut self, held: &[(u32, Arc<World>)]) -> Result<Option<(u32, Arc<World>)>, ReadError> {
+    fn next(
+        &mut self,
+        held: &[(MapKey, Arc<World>)],
+    ) -> Result<Option<(MapKey, Arc<World>)>, ReadError> {
         for _ in 0..self.loader.ids().len() {
             let loaded = self.loader.next().expect("a loader has no end")?;
-            let is_held = held.iter().any(|&(number, _)| number == loaded.number);
+            let is_held = held.iter().any(|&(key, _)| key == loaded.number);
             if !is_held && loaded.value.can_teach() {
                 return Ok(Some((loaded.number, loaded.value)));
             }

@@ -110,6 +110,7 @@ fn demand_own(directory: &Path) -> Result<(), OutputError> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::sealed::{SealError, read_sealed};
     use super::*;
 
     #[test]

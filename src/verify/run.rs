@@ -13,6 +13,9 @@ use crate::manifest::{ManifestError, RunManifest, parse};
 use crate::progress::Progress;
 use crate::store::{SUMS, read_sealed, sealed_files};
 
+const STATE: &str = RunManifest::STATE;
+const LOG: &str = RunManifest::LOG;
+
 /// What all checkpoints tell.
 #[derive(Deserialize)]
 struct State {
@@ -78,7 +81,6 @@ fn check_checkpoint(
             wrong(file, error.to_string());
         }
     }
-    const STATE: &str = RunManifest::STATE;
     let Ok(bytes) = read_sealed(directory, STATE) else {
         return files.len();
     };
@@ -105,7 +107,6 @@ fn check_checkpoint(
 
 /// Every line of the log is JSON with an update, none before the one above it.
 fn check_log(root: &Path, failures: &mut Vec<VerifyFailure>) {
-    const LOG: &str = RunManifest::LOG;
     let Ok(text) = std::fs::read_to_string(root.join(LOG)) else {
         return;
     };

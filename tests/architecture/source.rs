@@ -264,10 +264,9 @@ impl<'a> Crate<'a> {
     fn files(&self, path: &[String], followed: usize) -> Vec<String> {
         assert!(followed < 20, "re-exports lead in a circle: {path:?}");
         // The longest beginning that is a module.
-        let modules = (0..=path.len()).rev();
-        let found = modules
-            .filter_map(|length| Some((self.modules.get(&path[..length])?, &path[length..])))
-            .next();
+        let found = (0..=path.len())
+            .rev()
+            .find_map(|length| Some((self.modules.get(&path[..length])?, &path[length..])));
         let Some((source, rest)) = found else { return Vec::new() };
         let Some(name) = rest.first() else { return vec![source.path.clone()] };
         let handed_on = source.re_exports();

@@ -266,7 +266,6 @@ impl<T> Drop for Loader<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::HasFault;
 
     #[test]
     fn the_largest_shards_of_a_block_count() {

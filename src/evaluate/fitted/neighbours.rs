@@ -57,7 +57,7 @@ impl Neighbours {
     }
 }
 
-/// ColumnSums over free cells.
+/// Sums over free cells.
 struct Around {
     free: ColumnSums,
     holes: ColumnSums,

@@ -2,8 +2,6 @@
 
 use std::borrow::Cow;
 use std::cell::RefCell;
-use std::collections::HashMap;
-use std::sync::Arc;
 
 use rayon::prelude::*;
 use tch::{Device, Tensor};
@@ -13,8 +11,8 @@ use super::encoding::{DeviceEncoder, Reference};
 use crate::config::{RlConfig, TrainConfig};
 use crate::rl::policy::View;
 use crate::rl::{
-    ActionSet, Cell, Measurement, Random, Sight, State, StateEncoder, Symmetry, Transition, World,
-    rewards_into,
+    ActionSet, Cell, MapKey, MapList, Measurement, Random, Sight, State, StateEncoder, Symmetry,
+    Transition, World, rewards_into,
 };
 
 /// A batch of transitions; states as [`StateEncoder`] writes them.
@@ -65,10 +63,11 @@ pub struct Next {
     pub discount: Tensor,
 }
 
-/// Makes batches.
+/// Makes batches of transitions on the maps of a list. The list is always the same one: who replaces a map
+/// in it says so by [`Batcher::replace`].
 #[derive(Debug)]
 pub struct Batcher {
-    maps: HeldMaps,
+    choices: Choices,
     encoder: StateEncoder,
     buffers: RefCell<Buffers>,
     device: Device,
@@ -83,7 +82,7 @@ pub struct Batcher {
 struct After<'a> {
     /// Position of the transition in the batch.
     of: usize,
-    map: u32,
+    map: MapKey,
     path: Cow<'a, [Cell]>,
     action: i64,
     symmetry: Symmetry,
@@ -91,13 +90,10 @@ struct After<'a> {
     factor: f64,
 }
 
-/// The maps, and what is known of actions on them.
+/// What is known of actions on a map.
 #[derive(Debug)]
-struct HeldMaps {
+struct Choices {
     sight: Sight,
-    /// With their numbers.
-    held: Vec<(u32, Arc<World>)>,
-    places: HashMap<u32, usize>,
     /// Whether anything is learned of all actions.
     learns_all: bool,
     avoids_visited: bool,
@@ -110,43 +106,32 @@ fn measured(world: &World, cells: &[Cell]) -> Vec<Measurement> {
 }
 
 impl Batcher {
-    /// For transitions over these maps, by their numbers; all have the same size.
-    ///
-    /// # Panics
-    /// If there is no map.
+    /// For transitions on the maps of a list.
     #[must_use]
-    pub fn new(
-        maps: Vec<(u32, Arc<World>)>,
-        rl: &RlConfig,
-        train: &TrainConfig,
-        device: Device,
-    ) -> Self {
+    pub fn new(maps: &MapList, rl: &RlConfig, train: &TrainConfig, device: Device) -> Self {
         Self::encoding(maps, rl, train, device, device != Device::Cpu)
     }
 
     /// States are encoded on the device, or by the CPU for it.
     fn encoding(
-        maps: Vec<(u32, Arc<World>)>,
+        maps: &MapList,
         rl: &RlConfig,
         train: &TrainConfig,
         device: Device,
         there: bool,
     ) -> Self {
-        let cells = maps.first().expect("there are maps").1.cells();
-        let encoder = StateEncoder::new(cells, rl, train);
+        let encoder = StateEncoder::new(maps.cells(), rl, train);
         let on_device = match &encoder {
             StateEncoder::Paper(encoder) if there => {
                 Some(DeviceEncoder::new(encoder, maps.len(), rl, device))
             }
             _ => None,
         };
-        let (sight, places) = (Sight::new(rl.reach_cells), HashMap::new());
         let predicts = train.reward_prediction > 0.0 || train.hole_prediction > 0.0;
         let learns_all = predicts || train.dense_terminal;
-        let avoids_visited = train.avoid_visited;
-        let held = HeldMaps { sight, held: maps.clone(), places, learns_all, avoids_visited };
+        let sight = Sight::new(rl.reach_cells);
         let mut batcher = Self {
-            maps: held,
+            choices: Choices { sight, learns_all, avoids_visited: train.avoid_visited },
             encoder,
             buffers: RefCell::default(),
             device,
@@ -154,38 +139,25 @@ impl Batcher {
             discount: train.gamma,
             value_moves: train.factored.then_some(train.value_moves as usize),
         };
-        for (place, (number, map)) in maps.into_iter().enumerate() {
-            batcher.replace(place, number, map);
-        }
+        maps.all().iter().for_each(|&(key, _)| batcher.replace(maps, key));
         batcher
     }
 
-    /// Puts another map in the place of one; returns the number of that one.
-    pub fn replace(&mut self, place: usize, number: u32, map: Arc<World>) -> u32 {
+    /// In the list a map has taken the place of another.
+    pub fn replace(&mut self, maps: &MapList, by: MapKey) {
         if let Some(on_device) = &mut self.on_device {
-            on_device.put(place, &map);
+            on_device.put(maps.place(by), maps.get(by));
         }
-        let (gone, _) = std::mem::replace(&mut self.maps.held[place], (number, map));
-        self.maps.places.remove(&gone);
-        self.maps.places.insert(number, place);
-        gone
     }
 
-    /// Whether there is a map of this number.
-    #[must_use]
-    pub fn holds(&self, number: u32) -> bool {
-        self.maps.places.contains_key(&number)
-    }
-
-    /// Map and window of episodes, each the number of a map and the visited cells.
+    /// Map and window of episodes, each a map and the visited cells.
     ///
     /// # Panics
-    /// If there is no map of such a number.
-    pub fn states(&self, states: &[(u32, &[Cell])]) -> [Tensor; 2] {
-        let references = states.iter().map(|&(number, visited)| {
-            let (place, world) = self.maps.place(number);
-            Reference { place, world, visited, symmetry: Symmetry::IDENTITY }
-        });
+    /// If a map is not in the list.
+    pub fn states(&self, maps: &MapList, states: &[(MapKey, &[Cell])]) -> [Tensor; 2] {
+        let references = states.iter();
+        let references =
+            references.map(|&(key, visited)| reference(maps, key, visited, Symmetry::IDENTITY));
         self.encode(&references.collect::<Vec<_>>())
     }
 
@@ -207,36 +179,43 @@ impl Batcher {
     /// A batch of transitions; with `augment` each is turned or flipped at random.
     ///
     /// # Panics
-    /// If a transition is on a map that is not held.
+    /// If a transition is on a map that is not in the list.
     #[must_use]
-    pub fn batch(&self, transitions: &[Transition], augment: bool, random: &mut Random) -> Batch {
+    pub fn batch(
+        &self,
+        maps: &MapList,
+        transitions: &[Transition],
+        augment: bool,
+        random: &mut Random,
+    ) -> Batch {
         let mut symmetry = |_: &Transition| {
             let random = augment.then(|| random.below(Symmetry::COUNT));
             random.map_or(Symmetry::IDENTITY, Symmetry::new)
         };
         let symmetries: Vec<Symmetry> = transitions.iter().map(&mut symmetry).collect();
         let turned: Vec<Turned<'_>> = transitions.iter().zip(symmetries).collect();
-        let afters = self.afters(&turned, random);
+        let afters = self.afters(maps, &turned, random);
         let before = turned.iter().map(|&(transition, symmetry)| {
-            self.reference(transition.map, transition.before(), symmetry)
+            reference(maps, transition.map, transition.before(), symmetry)
         });
         let [map, window] = self.encode(&before.collect::<Vec<_>>());
         let after =
-            afters.iter().map(|after| self.reference(after.map, &after.path, after.symmetry));
+            afters.iter().map(|after| reference(maps, after.map, &after.path, after.symmetry));
         let [next_map, next_window] = self.encode(&after.collect::<Vec<_>>());
         let floats = |numbers: &[f32]| upload(numbers, self.device);
         let count = self.encoder.actions().count() as i64;
-        let maps = &self.maps;
+        let choices = &self.choices;
         let allowed: Vec<f32> = afters
             .par_iter()
             .flat_map_iter(|after| {
-                let (_, set) = maps.choices(after.map, &after.path);
-                maps.turn(&set.flags(count as usize), after.symmetry)
+                let (_, set) = choices.of(maps.get(after.map), &after.path);
+                choices.turn(&set.flags(count as usize), after.symmetry)
             })
             .collect();
         let all = |rows: &[Vec<f32>]| floats(&rows.concat()).reshape([-1, count]);
-        let all = maps.learns_all.then(|| {
-            let rows: Vec<[Vec<f32>; 3]> = turned.par_iter().map(|at| maps.all(at)).collect();
+        let all = choices.learns_all.then(|| {
+            let rows = turned.par_iter().map(|at| choices.all(maps.get(at.0.map), at));
+            let rows: Vec<[Vec<f32>; 3]> = rows.collect();
             let mut columns = [(); 3].map(|()| Vec::with_capacity(rows.len()));
             for row in rows {
                 columns.iter_mut().zip(row).for_each(|(column, values)| column.push(values));
@@ -249,7 +228,8 @@ impl Batcher {
         let factors: Vec<f32> = afters.iter().map(|after| after.factor as f32).collect();
         let of: Vec<i64> = afters.iter().map(|after| after.of as i64).collect();
         let next_actions: Vec<i64> = afters.iter().map(|after| after.action).collect();
-        let taken = |&(transition, symmetry): &Turned<'_>| maps.turned(transition.action, symmetry);
+        let taken =
+            |&(transition, symmetry): &Turned<'_>| choices.turned(transition.action, symmetry);
         let actions: Vec<i64> = turned.iter().map(taken).collect();
         Batch {
             map,
@@ -269,12 +249,17 @@ impl Batcher {
     }
 
     /// The states that are looked at beside those before the steps.
-    fn afters<'a>(&self, turned: &[Turned<'a>], random: &mut Random) -> Vec<After<'a>> {
+    fn afters<'a>(
+        &self,
+        maps: &MapList,
+        turned: &[Turned<'a>],
+        random: &mut Random,
+    ) -> Vec<After<'a>> {
         let Some(moves) = self.value_moves else {
             let goes_on = turned.iter().enumerate().filter(|(_, (one, _))| !one.terminal);
             let after = |(of, at): (usize, &Turned<'a>)| {
                 let &(transition, symmetry) = at;
-                let action = self.maps.turned(transition.action, symmetry);
+                let action = self.choices.turned(transition.action, symmetry);
                 let factor = transition.discounted(self.discount).1;
                 let path = Cow::Borrowed(&transition.path[..]);
                 After { of, map: transition.map, path, action, symmetry, factor }
@@ -287,37 +272,30 @@ impl Batcher {
             let (map, before) = (transition.map, transition.before());
             let from = before[before.len() - 1];
             let after = move |action| {
-                let to = from + self.maps.sight.actions().offset(action);
+                let to = from + self.choices.sight.actions().offset(action);
                 let path = [before, &[to]].concat().into();
-                let action = self.maps.turned(action, symmetry);
+                let action = self.choices.turned(action, symmetry);
                 After { of, map, path, action, symmetry, factor: self.discount }
             };
-            self.maps.going_on(transition, moves, random).into_iter().map(after)
+            self.choices.going_on(maps.get(map), transition, moves, random).into_iter().map(after)
         });
         afters.collect()
     }
+}
 
-    fn reference<'a>(
-        &'a self,
-        number: u32,
-        visited: &'a [Cell],
-        symmetry: Symmetry,
-    ) -> Reference<'a> {
-        let (place, world) = self.maps.place(number);
-        Reference { place, world, visited, symmetry }
-    }
+fn reference<'a>(
+    maps: &'a MapList,
+    key: MapKey,
+    visited: &'a [Cell],
+    symmetry: Symmetry,
+) -> Reference<'a> {
+    Reference { place: maps.place(key), world: maps.get(key), visited, symmetry }
 }
 
 /// A transition, and how it is turned or flipped.
 type Turned<'a> = (&'a Transition, Symmetry);
 
-impl HeldMaps {
-    /// A map that is held, and its place.
-    fn place(&self, number: u32) -> (usize, &World) {
-        let place = self.places[&number];
-        (place, &self.held[place].1)
-    }
-
+impl Choices {
     /// What becomes of an action when a state is turned.
     fn turned(&self, action: usize, symmetry: Symmetry) -> i64 {
         let side = self.sight.actions().side();
@@ -328,10 +306,16 @@ impl HeldMaps {
 
     /// At most so many actions that may be chosen before a step and lead to no hole: the one taken first, if
     /// it does so, then others at random.
-    fn going_on(&self, transition: &Transition, count: usize, random: &mut Random) -> Vec<usize> {
-        let (before, (_, world)) = (transition.before(), self.place(transition.map));
+    fn going_on(
+        &self,
+        world: &World,
+        transition: &Transition,
+        count: usize,
+        random: &mut Random,
+    ) -> Vec<usize> {
+        let before = transition.before();
         let (from, actions) = (before[before.len() - 1], self.sight.actions());
-        let (_, allowed) = self.choices(transition.map, before);
+        let (_, allowed) = self.of(world, before);
         let goes_on = |&action: &usize| !world.is_hole(from + actions.offset(action));
         let taken = transition.action;
         let others: Vec<usize> =
@@ -342,8 +326,7 @@ impl HeldMaps {
     }
 
     /// Where a step may lead from the last of the visited cells, and the actions that may be chosen.
-    fn choices(&self, map: u32, visited: &[Cell]) -> (ActionSet, ActionSet) {
-        let (_, world) = self.place(map);
+    fn of(&self, world: &World, visited: &[Cell]) -> (ActionSet, ActionSet) {
         let from = *visited.last().expect("an episode has a start");
         let permissible = self.sight.permissible(world, from);
         let allowed = if self.avoids_visited {
@@ -356,13 +339,12 @@ impl HeldMaps {
 
     /// The rewards of all actions before the step, 1 for those that would end the episode, and 1
     /// for those that may be chosen.
-    fn all(&self, &(transition, symmetry): &Turned<'_>) -> [Vec<f32>; 3] {
-        let (_, world) = self.place(transition.map);
+    fn all(&self, world: &World, &(transition, symmetry): &Turned<'_>) -> [Vec<f32>; 3] {
         let count = self.sight.actions().count();
         let [mut rewards, mut terminal] = [(); 2].map(|()| vec![0.0; count]);
         let before = transition.before();
         let from = *before.last().expect("a step begins somewhere");
-        let (permissible, allowed) = self.choices(transition.map, before);
+        let (permissible, allowed) = self.of(world, before);
         rewards_into(&self.sight, world, from, &permissible, |action, reward, ends| {
             (rewards[action], terminal[action]) = (reward, f32::from(u8::from(ends)));
         });
@@ -425,6 +407,8 @@ fn encode_states(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::rl::{Actions, drawn_world as world};
 
@@ -441,13 +425,12 @@ mod tests {
         let later = Arc::new(world("#...o\n.....\n..#..\n.o...\n....#", 2));
         let (rl, train) =
             (RlConfig { reach_cells: 2, ..RlConfig::default() }, TrainConfig::paper());
-        let mut batchers = [false, true].map(|there| {
-            let maps = vec![(4, Arc::clone(&first)), (9, Arc::clone(&second))];
-            Batcher::encoding(maps, &rl, &train, Device::Cpu, there)
-        });
-        let check = |batchers: &[Batcher; 2], transitions: &[Transition]| {
+        let mut maps = MapList::new(vec![(4, first), (9, second)]).expect("they teach");
+        let mut batchers =
+            [false, true].map(|there| Batcher::encoding(&maps, &rl, &train, Device::Cpu, there));
+        let check = |maps: &MapList, batchers: &[Batcher; 2], transitions: &[Transition]| {
             let [here, there] = [&batchers[0], &batchers[1]]
-                .map(|batcher| batcher.batch(transitions, true, &mut Random::keyed(&[3])));
+                .map(|batcher| batcher.batch(maps, transitions, true, &mut Random::keyed(&[3])));
             for (here, there) in [
                 (&here.map, &there.map),
                 (&here.window, &there.window),
@@ -467,13 +450,13 @@ mod tests {
             step(4, &[(1, 2), (2, 3)], true),
             on_second,
         ];
-        check(&batchers, &transitions);
+        check(&maps, &batchers, &transitions);
+        assert_eq!(maps.replace(0, 5, later), 4);
         for batcher in &mut batchers {
-            batcher.replace(0, 5, Arc::clone(&later));
-            assert!(batcher.holds(5) && !batcher.holds(4));
+            batcher.replace(&maps, 5);
         }
         let [.., on_second] = transitions;
-        check(&batchers, &[step(5, &[(1, 1), (0, 2)], false), on_second]);
+        check(&maps, &batchers, &[step(5, &[(1, 1), (0, 2)], false), on_second]);
     }
 
     /// V is learned from several moves of a part of the states: the one taken, and others that go on too.
@@ -482,7 +465,10 @@ mod tests {
         let map = Arc::new(world("o..#.\n.#...\n...o.\n##...\n....o", 2));
         let rl = RlConfig { reach_cells: 2, ..RlConfig::default() };
         let train = TrainConfig { factored: true, value_moves: 2, ..TrainConfig::default() };
-        let batcher = Batcher::new(vec![(4, Arc::clone(&map))], &rl, &train, Device::Cpu);
+        let (batcher, maps) = {
+            let maps = MapList::new(vec![(4, Arc::clone(&map))]).expect("it teaches");
+            (Batcher::new(&maps, &rl, &train, Device::Cpu), maps)
+        };
         let path = [(0, 1), (0, 2), (1, 2)].map(|(row, column)| Cell::new(row, column));
         // One cell to the south, of 5 × 5 moves.
         let taken = 17_usize;
@@ -493,7 +479,7 @@ mod tests {
             rewards: vec![-0.25],
             terminal: false,
         };
-        let batch = batcher.batch(&vec![one; 6], false, &mut Random::keyed(&[3]));
+        let batch = batcher.batch(&maps, &vec![one; 6], false, &mut Random::keyed(&[3]));
         let numbers = |of: &Tensor| Vec::<i64>::try_from(of).expect("numbers");
         assert_eq!(numbers(&batch.next.of), [0, 0, 1, 1, 2, 2]);
         let (actions, from) = (Actions::new(2), path[1]);

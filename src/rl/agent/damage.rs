@@ -8,7 +8,7 @@ use crate::manifest::ManifestError;
 use crate::store::{OutputError, SealError};
 
 /// The schema of checkpoints, which changes with what they hold.
-pub(super) const SCHEMA: &str = "checkpoint.v4";
+pub(super) const SCHEMA: &str = "checkpoint.v5";
 
 /// Why a checkpoint cannot be written or used.
 #[derive(Debug, thiserror::Error)]

@@ -6,7 +6,6 @@
 
 use std::borrow::Cow;
 use std::path::Path;
-use std::sync::Arc;
 
 use tch::Tensor;
 
@@ -23,8 +22,8 @@ use super::setup::TrainerSetup;
 use crate::config::TrainConfig;
 use crate::error::{Fault, HasFault};
 use crate::rl::{
-    ActionSet, Cell, Environment, MapPool, MapSource, NStepBuffer, NothingToLearn, PoolError,
-    Random, ReplayBuffer,
+    ActionSet, Cell, Environment, MapKey, MapPool, MapSource, NStepBuffer, NothingToLearn,
+    PoolError, Random, ReplayBuffer,
 };
 
 const ACTING: u64 = 21;
@@ -105,10 +104,9 @@ impl<'a> Trainer<'a> {
     /// If there is nothing to learn, or the network does not fit the maps.
     pub fn new(setup: TrainerSetup<'a>, pool: MapPool) -> Result<Self, TrainerError> {
         let TrainerSetup { rl, train, device, .. } = setup;
-        let maps: Vec<_> = pool.maps().iter().map(|(_, map)| Arc::clone(map)).collect();
-        let episodes = train.num_envs as usize;
-        let environment = Environment::new(&maps, episodes, rl.max_steps, train.seed)?;
-        let cells = maps[0].cells();
+        let (maps, episodes) = (pool.maps(), train.num_envs as usize);
+        let environment = Environment::new(maps, episodes, rl.max_steps, train.seed);
+        let cells = maps.cells();
         if cells > ReplayBuffer::MAX_CELLS {
             return Err(TrainerError::TooLarge { cells });
         }
@@ -122,7 +120,7 @@ impl<'a> Trainer<'a> {
             returns: vec![0.0; episodes],
             replay: ReplayBuffer::new(capacity, cells, rl.max_steps as usize)
                 .prioritised(train.priority_alpha),
-            batcher: Batcher::new(pool.maps().to_vec(), rl, train, device),
+            batcher: Batcher::new(maps, rl, train, device),
             adam: Adam::new(&policy),
             policy,
             target,
@@ -154,7 +152,9 @@ impl<'a> Trainer<'a> {
         let networks = [&mut trainer.policy, &mut trainer.target];
         checkpoint.restore_tensors(directory, networks, &mut trainer.adam)?;
         let slots = trainer.environment.len();
-        if !trainer.environment.restore(episodes) || [recent.len(), returns.len()] != [slots; 2] {
+        if !trainer.environment.restore(trainer.pool.maps(), episodes)
+            || [recent.len(), returns.len()] != [slots; 2]
+        {
             return Err(damaged("episodes").into());
         }
         if !trainer.replay.restore(*replay_added, replay.to_vec(), priorities) {
@@ -184,8 +184,13 @@ impl<'a> Trainer<'a> {
             replay: replay.to_vec().into(),
             priorities: priorities.into(),
         };
-        let mut checkpoint =
-            Checkpoint::new(&self.setup, &self.pool.maps()[0].1, self.counters, totals, memory);
+        let mut checkpoint = Checkpoint::new(
+            &self.setup,
+            &self.pool.maps().all()[0].1,
+            self.counters,
+            totals,
+            memory,
+        );
         checkpoint.validation.clone_from(validation);
         checkpoint.write(directory, [&self.policy, &self.target], &self.adam)?;
         Ok(())
@@ -271,7 +276,7 @@ impl<'a> Trainer<'a> {
         if !self.pool.is_streamed() {
             return self.replay.len();
         }
-        self.pool.maps().iter().map(|&(number, _)| self.replay.on_map(number)).sum()
+        self.pool.maps().all().iter().map(|&(key, _)| self.replay.on_map(key)).sum()
     }
 
     /// One step of Adam on sampled transitions.
@@ -281,10 +286,9 @@ impl<'a> Trainer<'a> {
     pub fn learn(&mut self) {
         let train = self.setup.train;
         let mut random = Random::keyed(&[train.seed, SAMPLING, self.counters.updates]);
-        let count = train.batch_size as usize;
-        let sample =
-            self.replay.sample(count, self.beta(), |map| self.batcher.holds(map), &mut random);
-        let batch = self.batcher.batch(&sample.transitions, train.augment, &mut random);
+        let (count, maps) = (train.batch_size as usize, self.pool.maps());
+        let sample = self.replay.sample(count, self.beta(), |map| maps.contains(map), &mut random);
+        let batch = self.batcher.batch(maps, &sample.transitions, train.augment, &mut random);
         let weights = sample.weights.map(|weights| upload(&weights, self.setup.device));
         let parts = loss(&self.policy, &self.target, &batch, weights.as_ref(), train);
         let gradients = Tensor::run_backward(&[&parts.total], self.policy.leaves(), false, false);
@@ -329,10 +333,10 @@ impl<'a> Trainer<'a> {
                 None => random.below(count),
             })
             .collect();
-        let before: Vec<(u32, Vec<Cell>)> = (0..slots)
-            .map(|slot| (self.number(slot), self.environment.state(slot).1.to_vec()))
-            .collect();
-        let outcomes = self.environment.step(&actions);
+        let before = (0..slots).map(|slot| self.environment.state(slot));
+        let before: Vec<(MapKey, Vec<Cell>)> =
+            before.map(|(map, visited)| (map, visited.to_vec())).collect();
+        let outcomes = self.environment.step(self.pool.maps(), &actions);
         for (slot, ((map, mut path), outcome)) in before.into_iter().zip(outcomes).enumerate() {
             if greedy[slot].is_some() {
                 self.totals.chose(path.contains(&outcome.next));
@@ -366,18 +370,13 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Number of the map of an episode.
-    fn number(&self, slot: usize) -> u32 {
-        self.pool.maps()[self.environment.map(slot)].0
-    }
-
     /// Replaces a map if there are others. The episodes on it end there.
     fn refresh(&mut self) -> Result<(), PoolError> {
-        let Some(place) = self.pool.refresh()? else { return Ok(()) };
-        let (number, map) = &self.pool.maps()[place];
-        let gone = self.batcher.replace(place, *number, Arc::clone(map));
+        let Some([gone, by]) = self.pool.refresh()? else { return Ok(()) };
+        let maps = self.pool.maps();
+        self.batcher.replace(maps, by);
         let Self { recent, returns, replay, .. } = self;
-        self.environment.replace(place, map, |slot, visited| {
+        self.environment.replace(maps, gone, by, |slot, visited| {
             returns[slot] = 0.0;
             let push = |transition| {
                 let _ = replay.push(&transition);
@@ -394,11 +393,8 @@ impl<'a> Trainer<'a> {
         if wanted.is_empty() {
             return actions;
         }
-        let states: Vec<(u32, &[Cell])> = wanted
-            .iter()
-            .map(|&slot| (self.number(slot), self.environment.state(slot).1))
-            .collect();
-        let [map, window] = self.batcher.states(&states);
+        let states: Vec<_> = wanted.iter().map(|&slot| self.environment.state(slot)).collect();
+        let [map, window] = self.batcher.states(self.pool.maps(), &states);
         let sets: Vec<_> = wanted.iter().map(|&slot| self.allowed(slot)).collect();
         let sets = sets.iter().map(AsRef::as_ref);
         let count = self.environment.actions().count();

@@ -114,7 +114,7 @@ impl<'a> Build<'a> {
     /// # Errors
     /// [`OutputError`] if the directory has been taken meanwhile, or cannot be written.
     pub(crate) fn begin(self) -> Result<Output, OutputError> {
-        Ok(Output(OutputDir::begin(self.out, &self.plan, self.mode)?))
+        Ok(Output(Box::new(OutputDir::begin(self.out, &self.plan, self.mode)?)))
     }
 
     /// Builds the items of a plan, or those that fall to this task, and takes up what earlier runs
@@ -159,7 +159,7 @@ impl<'a> Build<'a> {
         progress.end();
         Ok(match output.end_task().map_err(OutputError::from)? {
             Some(report) => Items::Part(report),
-            None => Items::All(items, Output(output)),
+            None => Items::All(items, Output(Box::new(output))),
         })
     }
 }
@@ -201,7 +201,7 @@ impl Item<'_> {
 
 /// A directory that lacks only what belongs to the output as a whole.
 #[derive(Debug)]
-pub(crate) struct Output(OutputDir);
+pub(crate) struct Output(Box<OutputDir>);
 
 impl Output {
     /// Writes a file that belongs to the output as a whole. It is on the disk for good once

@@ -207,6 +207,7 @@ mod tests {
     use std::time::Instant;
 
     use super::*;
+    use crate::error::{Fault, HasFault};
     use crate::store::sha256_bytes;
 
     fn open(url: &str, cache: &std::path::Path) -> Result<Remote, RemoteError> {
