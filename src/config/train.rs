@@ -51,7 +51,7 @@ pub enum Channel {
     Permissible,
     /// 1 for visited cells.
     Visited,
-    /// 2^(-c d) at a distance of d cells from the UAV (`eqn:encode_loc`).
+    /// 2^(-c d) at a distance of d cells from the UAV (equation 7).
     Location,
 }
 
@@ -79,7 +79,7 @@ impl Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Loss {
-    /// The square, as in the paper (`eqn:ddqn_loss`).
+    /// The square, as in the paper (equation 14).
     Squared,
     /// The square up to 1, linear beyond (Huber).
     Huber,

@@ -2,7 +2,7 @@
 //!
 //! Krüger's series in the third flattening `n` to order 6, as given by C. F. F. Karney,
 //! "Transverse Mercator with an accuracy of a few nanometers", J. Geodesy 85 (2011),
-//! equations 7 to 11, 35 and 36. Agrees with PROJ within a micrometre (checked to 1 mm by
+//! Equations 7 to 11, 35 and 36. Agrees with PROJ within a micrometre (checked to 1 mm by
 //! `make test-real`). All transcendental functions come from `libm`, so that the same
 //! node falls on the same bits on every platform.
 

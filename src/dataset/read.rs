@@ -148,8 +148,8 @@ impl Dataset {
         FrameBuffer::new().map_err(|error| unreadable(&self.root.join(shard), error))
     }
 
-    /// Opens a shard by its path within the dataset; one that has to be downloaded is given up once
-    /// it is not wanted any more.
+    /// Opens a shard by its path within the dataset; the download of one is given up once it is no
+    /// longer wanted.
     pub(super) fn open_shard(
         &self,
         file: &str,

@@ -56,7 +56,7 @@ impl std::ops::Sub for Cell {
     }
 }
 
-/// The moves of one step, `eqn:Ak_eqn`: a square of (2l + 1) × (2l + 1) cells around the UAV,
+/// The moves of one step, equation 11: a square of (2l + 1) × (2l + 1) cells around the UAV,
 /// numbered row by row from the north-west. The action in the middle is to stay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Actions {

@@ -1,7 +1,7 @@
 //! What a Q-network sees of a state: `I_A`, the whole map, and `I_B`, the surroundings.
 //!
 //! Both have three channels, `[3, rows, columns]` in row-major order: the encoded location of the
-//! UAV (`eqn:encode_loc`), the encoded measurements (`eqn:encode_rsrp`), the heights divided by
+//! UAV (equation 7), the encoded measurements (equation 9), the heights divided by
 //! `height_scale_m`. `I_A` covers the map, L × L; `I_B` is cut out of it around the UAV,
 //! (2l + 1) × (2l + 1). Cells of `I_B` beyond the map are occupied: encodings 0, height 1 (that
 //! is, `height_scale_m`).
@@ -206,7 +206,7 @@ mod tests {
         Measurement { cell: Cell::new(row, column), rsrp_dbm }
     }
 
-    /// `eqn:encode_loc` and `eqn:encode_rsrp` by hand: c = 0.1, -80 dBm is 0.2, -50 dBm is 0.5.
+    /// Equations 7 and 9 by hand: c = 0.1, -80 dBm is 0.2, -50 dBm is 0.5.
     #[test]
     fn encodings_by_hand() {
         let (map, window) =

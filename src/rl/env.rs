@@ -18,7 +18,7 @@ const EPISODES: u64 = 20;
 /// What an action came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outcome {
-    /// The reward, `eqn:reward`.
+    /// The reward, equation 13.
     pub reward: f32,
     /// A coverage hole is found: the state after it has no value.
     pub terminal: bool,

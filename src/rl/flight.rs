@@ -4,7 +4,7 @@ use super::cell::Cell;
 use super::sight::{ActionSet, Sight};
 use super::world::World;
 
-/// Reward for a coverage hole, `eqn:reward`.
+/// Reward for a coverage hole, equation 13.
 pub const REWARD_HOLE: f32 = 0.0;
 /// Reward for predicting a waypoint that is not permissible.
 pub const REWARD_BLOCKED: f32 = -1.25;
@@ -25,7 +25,7 @@ pub struct Measurement {
 pub struct Step {
     /// Whether the predicted waypoint was permissible; if not, the UAV was pulled back.
     pub permissible: bool,
-    /// The reward, `eqn:reward`.
+    /// The reward, equation 13.
     pub reward: f32,
 }
 
@@ -157,7 +157,7 @@ pub(super) fn fly(
     (position, allowed(Cell::at(waypoint)))
 }
 
-/// `eqn:reward`, the order of its cases made explicit: a waypoint that is not permissible costs
+/// Equation 13, the order of its cases made explicit: a waypoint that is not permissible costs
 /// 1.25 wherever the UAV is pulled back to, since the level at the waypoint is never measured.
 pub(super) fn reward(permissible: bool, hole: bool) -> f32 {
     match (permissible, hole) {
@@ -189,7 +189,7 @@ fn farthest(from: [f64; 2], to: [f64; 2], reach: i32, allowed: impl Fn(Cell) -> 
         .unwrap_or(from)
 }
 
-/// The rewards of all actions, `eqn:reward`, and whether each would end the episode: what training
+/// The rewards of all actions, equation 13, and whether each would end the episode: what training
 /// may know of a state for free.
 pub fn rewards_into(
     sight: &Sight,

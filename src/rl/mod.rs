@@ -1,10 +1,26 @@
 //! The task: a UAV over a city looks for a coverage hole.
 //!
 //! Everything of the paper but the network, on records of a dataset: what blocks a move
-//! ([`Sight`], `eqn:S_prm`), how a UAV moves and what that is worth ([`Flight`], Algorithm 1 and
-//! `eqn:reward`), what a network sees ([`Encoder`], `eqn:encode_loc` and `eqn:encode_rsrp`), episodes
+//! ([`Sight`], equation 3), how a UAV moves and what that is worth ([`Flight`], Algorithm 1 and
+//! Equation 13), what a network sees ([`Encoder`], equations 7 and 9), episodes
 //! of training ([`Environment`]), methods without a network ([`policy`]) and the exact
 //! optimum ([`Hops`]). Nothing here needs libtorch.
+//!
+//! The paper is M. Rahman, İ. Güvenç, D. Ramirez and C.-W. Wong, *UAV-Assisted Coverage Hole Detection Using
+//! Reinforcement Learning in Urban Cellular Networks*. Comments of this project cite its equations by their
+//! numbers:
+//!
+//! | equation | what | where |
+//! |---|---|---|
+//! | 3 | the permissible set | [`Sight`] |
+//! | 7 | the encoded location | [`Encoder`] |
+//! | 9 | the encoded measurements | [`Encoder`] |
+//! | 11 | the moves of one step | [`Actions`] |
+//! | 12 | the predicted location | `agent::Agent` |
+//! | 13 | the reward | [`Flight`], [`rewards_into`] |
+//! | 14, 15, 16 | the loss of Double DQN, its target, the loss with predicted rewards | `agent::loss` |
+//! | 17 | descent of the coverage map (G-RSP, G-BNP) | [`policy::Descent`] |
+//! | Algorithm 1 | the flight and its pull-back | [`Flight`] |
 //!
 //! Positions are rows from the north and columns from the west, in cells; all randomness comes
 //! from keyed streams ([`Random`]), so nothing depends on threads.

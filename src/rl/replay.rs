@@ -20,7 +20,7 @@ pub struct Transition {
     pub path: Vec<Cell>,
     /// The action of the first step.
     pub action: usize,
-    /// The rewards of the steps, `eqn:reward`. The first step begins before as many of the cells.
+    /// The rewards of the steps, equation 13. The first step begins before as many of the cells.
     pub rewards: Vec<f32>,
     /// Whether the episode ended at a coverage hole there, so that the state has no value. At the
     /// time limit it keeps its value.
@@ -229,7 +229,7 @@ impl ReplayBuffer {
     ///
     /// # Panics
     /// If it has more cells than the episodes that the buffer was made for, or another reward than
-    /// those of `eqn:reward`.
+    /// those of equation 13.
     pub fn push(&mut self, transition: &Transition) -> usize {
         let Transition { map, path, action, rewards, terminal } = transition;
         assert!(path.len() <= self.max_steps + 1, "an episode within its limit");

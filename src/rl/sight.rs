@@ -1,4 +1,4 @@
-//! The permissible set, `eqn:S_prm`: where one step may lead.
+//! The permissible set, equation 3: where one step may lead.
 //!
 //! A cell is permissible if it lies within l cells in each direction, is not occupied, and
 //! the straight line to it touches no occupied cell. Cells are closed squares: a line that
@@ -140,7 +140,7 @@ impl Sight {
         ActionSet { words: vec![0; self.words] }
     }
 
-    /// The permissible set of a cell, `S_prm(k)` of `eqn:S_prm`; to stay is always permissible.
+    /// The permissible set of a cell, `S_prm(k)` of equation 3; to stay is always permissible.
     ///
     /// # Panics
     /// If `from` is occupied or outside of the map, or the map was made for another reach.

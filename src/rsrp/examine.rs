@@ -1,4 +1,20 @@
 //! One map through all checks.
+//!
+//! Comments, messages of commits and issues may cite them by these numbers:
+//!
+//! 1. Metadata are complete, of their types and possible (`metadata`, `complete`).
+//! 2. The tile is one of those given, and no other map claims it (`stage::locate`).
+//! 3. The array is of a supported type, no larger than allowed, and its transmitter is chosen (`load`, `member`).
+//! 4. The map is square, its cells make up record cells, its centre is the tile's (`check::geometry`).
+//! 5. Values are possible for their kind, and cells without a path are declared (`check::values`).
+//! 6. Errors of repeats are possible for powers (`repeats`).
+//! 7. The map lies on the buildings as declared, not flipped, shifted or on another tile (`orientation`).
+//! 8. The transmitter is inside the map and in no building (`check::transmitter`).
+//! 9. Levels are those of their kind and power, held against free space (`free_space`).
+//! 10. Enough rays reach the farthest cell (`check::sampling`).
+//! 11. Some outdoor cell is reached, and not too few (`check::unreached`).
+//!
+//! What only looks odd is a warning; with `rsrp.strict` the first one rejects the map.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -125,7 +141,9 @@ pub(super) fn examine(
     context: &ImportContext<'_>,
 ) -> Result<Examined, Refusal> {
     let (grid, rsrp, metadata) = (context.grid(), context.rsrp, &described.metadata);
+    // Checks 1 and 2 are done. Check 3:
     let map = load_values(source.path, metadata, context.limit, rsrp.tx.map(|tx| tx as usize))?;
+    // 4
     let geometry = check::geometry(&map, metadata, entry.id, grid, context.record_cell_m)?;
     let tile = TileFile::read(context.tiles, entry)?;
     let occupancy = context.occupancy(&tile, &geometry);
@@ -133,27 +151,31 @@ pub(super) fn examine(
     let position = map.tx_position_m;
     let free_space = FreeSpace::new(metadata, position, geometry.cell_m, geometry.cells);
     let levels = Comparison::new(&window, &occupancy, metadata, &free_space);
-    // Impossible values are those of another kind more often than not.
+    // 5. Impossible values are those of another kind more often than not.
     check::values(&map, metadata).map_err(|rejection| {
         let other = (rejection.code == RejectionCode::ValueOutOfRange)
             .then(|| levels.other_kind(map.kind))
             .flatten();
         other.unwrap_or(rejection)
     })?;
+    // 6
     if let Some(repeats) = &map.repeats {
         repeats.check(&map, metadata)?;
     }
     let mut warnings = Vec::new();
-    // The place comes before the levels: a map that is turned has its strong cells elsewhere.
+    // 7. The place comes before the levels: a map that is turned has its strong cells elsewhere.
     let level = |value: f64| to_rsrp(value, map.kind, metadata).0;
     let friis = |at| (power_per_re(metadata) + free_space.gain(at)).0;
     let placement = Orientation::new(&window, &occupancy, metadata, level, friis);
     let placed = placement.check(&occupancy, || context.nearby(entry.id, &geometry))?;
     warnings.extend(placed.warning);
+    // 8
     let roof = |x: f64, y: f64| roof(&tile, grid.cell_m, x, y);
     warnings.extend(check::transmitter(position, metadata.map_size_m, roof)?);
+    // 9
     let excess_db = levels.check(map.kind)?;
     warnings.extend(Comparison::warning(excess_db));
+    // 10
     let rays =
         check::expected_rays(metadata, position, context.record_cell_m, f64::from(grid.crop_m));
     warnings.extend(check::sampling(rays, rsrp)?);
@@ -161,6 +183,7 @@ pub(super) fn examine(
     let repeats = cut_repeats(&map, metadata, &geometry);
     let repeats = repeats.as_ref();
     let aligned = align(&window, repeats, map.kind, metadata, &occupancy, rsrp.floor_dbm);
+    // 11
     let unreached = check::unreached(&aligned.counts)?;
     warnings.extend(check::few_reached(unreached));
     warnings.extend(Repeats::warning(metadata));

@@ -27,8 +27,8 @@ impl OpenShards {
     }
 
     /// A record with its arrays, as [`Dataset::record_with_grids`] reads it. A shard that fails
-    /// is closed, so that it is read anew for its next record; a download is given up once it is not
-    /// wanted any more.
+    /// is closed, so that it is read anew for its next record; a download is given up once it is no
+    /// longer wanted.
     pub(super) fn read(
         &mut self,
         id: TileId,

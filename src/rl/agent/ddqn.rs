@@ -11,7 +11,7 @@ use crate::config::{Loss, TrainConfig};
 pub struct LossParts {
     /// What is minimised.
     pub total: Tensor,
-    /// `L_1`, `eqn:ddqn_loss`: the error of Q-values; in a factored network that of V.
+    /// `L_1`, equation 14: the error of Q-values; in a factored network that of V.
     pub q: Tensor,
     /// Mean cross-entropy of P(hole), in nats, if there is a head for it.
     pub holes: Option<Tensor>,
@@ -25,7 +25,7 @@ pub struct LossParts {
 }
 
 /// `Q_target(h', argmax_a' Q_policy(h', a'))` of the states after the steps, `[nexts]`: what
-/// `eq:discounted_reward` has after γ.
+/// Equation 15 has after γ.
 fn next_values(
     policy: &QNetwork,
     target_network: &QNetwork,
@@ -85,10 +85,10 @@ fn mean_of_states(values: &Tensor, marks: &Tensor) -> Tensor {
     (sum(&(values * marks)) / sum(marks).clamp_min(1.0)).mean(Kind::Float)
 }
 
-/// `L = L_1 + α r²`, `eqn:final_loss`, and what is added beyond the paper: the cross-entropy of
+/// `L = L_1 + α r²`, equation 16, and what is added beyond the paper: the cross-entropy of
 /// P(hole) over the moves that may be chosen, the errors of predicted rewards of all actions, and of
 /// Q-values of all actions that end the episode. A state that ends the episode at a hole has no value:
-/// `y = r + γ Q_target(h', ·)`, `eq:discounted_reward`, is r there. `weights`, `[batch]`, are those of
+/// `y = r + γ Q_target(h', ·)`, equation 15, is r there. `weights`, `[batch]`, are those of
 /// prioritised replay.
 ///
 /// A factored network learns `Q_target(h', ·)` itself, as V of moves that go on: how likely they are to go on is

@@ -125,7 +125,7 @@ impl Agent {
         self.shared.trained_on
     }
 
-    /// `eqn:predicted_location`: the action of the greatest Q-value, or of the greatest P(hole), of
+    /// Equation 12: the action of the greatest Q-value, or of the greatest P(hole), of
     /// those that the network was trained to choose among.
     fn waypoints(&self, views: &[View<'_, '_>]) -> Vec<[f64; 2]> {
         let Shared { networks, device, encoder, mask_actions, .. } = &*self.shared;

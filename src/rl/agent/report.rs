@@ -95,7 +95,7 @@ impl Totals {
         self.counts.revisits += u32::from(revisits);
     }
 
-    /// The sums; for them one waits. `None` if they are no numbers any more.
+    /// The sums, once they are computed; `None` if they are no longer finite.
     pub(super) fn state(&self) -> Option<TotalsState> {
         let mut losses = [0.0_f64; SUMS];
         self.losses.to_device(Device::Cpu).copy_data(&mut losses, SUMS);

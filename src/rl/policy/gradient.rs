@@ -1,4 +1,4 @@
-//! G-RSP and G-BNP: descent of the coverage map, `eqn:grsp_update`.
+//! G-RSP and G-BNP: descent of the coverage map, equation 17.
 //!
 //! They are bounds in the paper's sense, not methods: a UAV cannot measure a gradient.
 
@@ -159,7 +159,7 @@ mod tests {
         assert_eq!(gradient[4..7], [[0.0, -4.0], [0.0, -6.0], [0.0, -8.0]]);
     }
 
-    /// `eqn:grsp_update` by hand: 20 dB per cell to the east at column 1.
+    /// Equation 17 by hand: 20 dB per cell to the east at column 1.
     #[test]
     fn descent_leads_to_the_weaker_side() {
         let (map, sight) = (world("..o.\n..o.\n..o.\n....", 3), Sight::new(3));

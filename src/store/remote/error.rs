@@ -42,7 +42,7 @@ pub enum RemoteError {
         /// The most that is read.
         limit: u64,
     },
-    /// Nobody wants it any more.
+    /// It is no longer wanted.
     #[error("{url}: the download was stopped; what came is kept")]
     Stopped {
         /// The file.
