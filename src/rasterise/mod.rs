@@ -4,13 +4,15 @@
 //! `gdal_rasterize` without `ALL_TOUCHED`. A cell's value depends on its place alone, so
 //! tiles that overlap agree, whatever area they were built from.
 
-mod index;
+mod blocks;
+mod pack;
 mod scanline;
 mod stage;
 mod tile;
+mod tile_source;
 mod unseen;
 
-pub use index::TileSource;
 pub use scanline::Scanline;
 pub use stage::{RasteriseError, RasteriseJob, rasterise};
 pub use tile::{HeightGrid, rasterise_tile};
+pub use tile_source::TileSource;

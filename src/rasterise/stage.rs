@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::index::TileSource;
-use super::tile::HeightGrid;
+use super::blocks::Blocks;
+use super::pack::{pack_blocks, pack_grid};
+use super::tile_source::TileSource;
 use super::unseen::without_cells;
 use crate::building::{Action, Building, Defect, HeightSource, Kind, Problem};
 use crate::config::{Config, FilterConfig, GridConfig};
@@ -21,13 +22,8 @@ use crate::osm::{Extract, ExtractError, read_buildings};
 use crate::progress::Progress;
 use crate::store::{
     Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
-    npy_bytes, npz_bytes, sha256_file,
+    sha256_file,
 };
-
-/// Deflate level of tiles. Level 2 takes half again to twice the time of level 1 and leaves
-/// two thirds to half of the size; each further level saves less and costs more
-/// (`benches/RESULTS.md`).
-const DEFLATE_LEVEL: i64 = 2;
 
 /// Why tiles could not be built.
 #[derive(Debug, thiserror::Error)]
@@ -133,7 +129,11 @@ pub fn rasterise(
     let source = TileSource::new(&city, grid, utm);
     let candidates = select(&source, job.area, grid)?;
 
-    let tile = |id: &TileId, item: Item<'_>| build_tile(*id, &source, &config, item);
+    let blocks = Blocks::new(&city, grid, &candidates);
+    let tile = |id: &TileId, item: Item<'_>| {
+        let how = Painting { source: &source, blocks: blocks.as_ref() };
+        build_tile(*id, how, &config, item)
+    };
     let how = ("rasterising tiles", Parallel::Across);
     let (candidates, output) =
         match build.run_items(how, &candidates, ToString::to_string, tile, progress)? {
@@ -202,26 +202,46 @@ fn select(
     Ok(selected)
 }
 
+/// Where the cells of tiles come from: blocks, if tiles share them.
+#[derive(Clone, Copy)]
+struct Painting<'a> {
+    source: &'a TileSource<'a>,
+    blocks: Option<&'a Blocks<'a>>,
+}
+
 fn build_tile(
     id: TileId,
-    source: &TileSource<'_>,
+    Painting { source, blocks }: Painting<'_>,
     config: &TilesConfig,
     item: Item<'_>,
 ) -> Result<Finished<Candidate>, RasteriseError> {
-    let tile = source.rasterise(id);
-    let statistics = tile.statistics;
-    let verdict = judge(&statistics, &config.filter);
+    let verdict = |statistics: &TileStatistics| judge(statistics, &config.filter);
+    let meta = |statistics| to_json(&tile_meta(id, statistics, config));
+    // What is dropped need not be put together.
+    let (statistics, bytes) = if let Some(blocks) = blocks {
+        let tile = blocks.tile(id);
+        let statistics = tile.statistics();
+        let is_kept = verdict(&statistics) == Verdict::Kept;
+        (
+            statistics,
+            is_kept.then(|| pack_blocks(&tile, config.grid.side_cells(), meta(statistics))),
+        )
+    } else {
+        let tile = source.rasterise(id);
+        let statistics = tile.statistics;
+        let is_kept = verdict(&statistics) == Verdict::Kept;
+        (statistics, is_kept.then(|| pack_grid(&tile, meta(statistics))))
+    };
     let candidate = |written: &[Digest]| Candidate {
         id,
         statistics,
-        verdict,
+        verdict: verdict(&statistics),
         digest: written.first().cloned(),
     };
-    if verdict != Verdict::Kept {
-        return Ok(item.finish(&[], candidate)?);
+    match bytes {
+        Some(bytes) => Ok(item.finish(&[(&file_name(id), &bytes)], candidate)?),
+        None => Ok(item.finish(&[], candidate)?),
     }
-    let bytes = tile_npz(id, &tile, config);
-    Ok(item.finish(&[(&file_name(id), &bytes)], candidate)?)
 }
 
 fn judge(statistics: &TileStatistics, filter: &FilterConfig) -> Verdict {
@@ -238,8 +258,8 @@ fn file_name(id: TileId) -> String {
     format!("{id}.npz")
 }
 
-fn tile_npz(id: TileId, tile: &HeightGrid, config: &TilesConfig) -> Vec<u8> {
-    let meta = TileMeta {
+fn tile_meta(id: TileId, statistics: TileStatistics, config: &TilesConfig) -> TileMeta {
+    TileMeta {
         schema: TileMeta::SCHEMA.to_owned(),
         id,
         epsg: id.utm.epsg(),
@@ -251,15 +271,8 @@ fn tile_npz(id: TileId, tile: &HeightGrid, config: &TilesConfig) -> Vec<u8> {
         row_order: "north_first".to_owned(),
         licence: config.buildings.licence.clone(),
         attribution: config.buildings.attribution.clone(),
-        statistics: tile.statistics,
-    };
-    let meta = ndarray::Array1::from_vec(to_json(&meta));
-    let members = [
-        ("height_m", npy_bytes(&tile.height_m)),
-        ("height_source", npy_bytes(&tile.height_source)),
-        ("meta_json", npy_bytes(&meta)),
-    ];
-    npz_bytes(&members, DEFLATE_LEVEL)
+        statistics,
+    }
 }
 
 fn entry(candidate: Candidate) -> Option<TileEntry> {

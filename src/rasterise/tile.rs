@@ -24,9 +24,6 @@ pub struct HeightGrid {
 }
 
 /// Rasterises the buildings that may touch a tile, by their indices in the city.
-///
-/// Lower prisms are painted first, so the highest stays; of equal heights the better known one
-/// wins. What floats comes last and only raises what is there.
 #[must_use]
 pub fn rasterise_tile(
     tile: TileId,
@@ -41,7 +38,72 @@ pub fn rasterise_tile(
     let crop = grid.crop_offset_cells()..grid.crop_offset_cells() + grid.crop_cells();
     let heights = height_m.as_slice_mut().expect("a new array is contiguous");
     let sources = height_source.as_slice_mut().expect("a new array is contiguous");
+    let mut seen: Vec<u32> = Vec::new();
+    paint(window, city, buildings, heights, sources, |building, _, _| {
+        if seen.last() != Some(&building) {
+            seen.push(building);
+        }
+    });
 
+    let mut by_source = [0_u64; 4];
+    for row in crop.clone() {
+        for &source in &sources[row * cells + crop.start..row * cells + crop.end] {
+            by_source[usize::from(source)] += 1;
+        }
+    }
+    let max_height_m = heights.iter().copied().fold(0.0, f32::max);
+    let statistics = statistics(count(city, seen), by_source, max_height_m, crop.len());
+    HeightGrid { height_m, height_source, statistics }
+}
+
+/// Figures of a tile: buildings in it, cells of its central window by their source, its greatest height.
+pub(super) fn statistics(
+    buildings: u32,
+    by_source: [u64; 4],
+    max_height_m: f32,
+    crop_cells: usize,
+) -> TileStatistics {
+    let [_, height, levels, default] = by_source;
+    let built_cells = BuiltBySource { height, levels, default };
+    TileStatistics {
+        buildings,
+        built: built_cells.total() as f64 / (crop_cells * crop_cells) as f64,
+        max_height_m,
+        built_cells,
+    }
+}
+
+/// Number of objects among buildings, each named once: a relation may be several buildings, one for
+/// each height of its rings.
+pub(super) fn count(city: &City, seen: impl IntoIterator<Item = u32>) -> u32 {
+    let mut ways = 0;
+    let mut relations: BTreeSet<ObjectId> = BTreeSet::new();
+    for building in seen {
+        match city.buildings()[building as usize].object {
+            ObjectId::Way(_) => ways += 1,
+            object => {
+                relations.insert(object);
+            }
+        }
+    }
+    ways + relations.len() as u32
+}
+
+/// Paints the buildings that may touch a window, by their indices in the city, over its cells: zeros in
+/// row-major order.
+///
+/// Lower prisms are painted first, so the highest stays; of equal heights the better known one
+/// wins. What floats comes last and only raises what is there. `seen(building, row, columns)` is told the
+/// cells of each outline that stands on the ground, one outline after the other.
+pub(super) fn paint(
+    window: Window,
+    city: &City,
+    buildings: &[usize],
+    heights: &mut [f32],
+    sources: &mut [u8],
+    mut seen: impl FnMut(u32, usize, Range<usize>),
+) {
+    let cells = window.cells;
     // What floats and begins where it ends is nothing.
     let is_there = |prism: &&Prism| !prism.floats || prism.bottom_m < prism.top_m;
     let prisms = buildings.iter().flat_map(|&at| city.prisms_of(at));
@@ -54,16 +116,19 @@ pub fn rasterise_tile(
             .then_with(|| a.building.cmp(&b.building))
     });
     let mut painter = Painter::new(city, window);
-    let mut ways = 0;
-    // A relation may be several buildings, one for each height of its rings.
-    let mut relations: BTreeSet<ObjectId> = BTreeSet::new();
     for Prism { building, limits, top_m, source, floats, .. } in prisms {
-        let Building { object, attributes, .. } = &city.buildings()[*building as usize];
+        let Building { attributes, .. } = &city.buildings()[*building as usize];
+        let counts = attributes.kind == Kind::Outline && !attributes.raised;
         let run = |row: usize, columns: Range<usize>| {
             row * cells + columns.start..row * cells + columns.end
         };
-        let has_cells = if *floats {
-            painter.paint(*building, limits.as_deref(), |row, columns| {
+        let seen = |row: usize, columns: &Range<usize>| {
+            if counts {
+                seen(*building, row, columns.clone());
+            }
+        };
+        if *floats {
+            painter.paint(*building, limits.as_deref(), seen, |row, columns| {
                 let run = run(row, columns);
                 let covered = heights[run.clone()].iter_mut().zip(&mut sources[run]);
                 for (height, known) in covered.filter(|(height, _)| **height > 0.0) {
@@ -71,39 +136,15 @@ pub fn rasterise_tile(
                         (*height, *known) = (*top_m, *source as u8);
                     }
                 }
-            })
+            });
         } else {
-            painter.paint(*building, limits.as_deref(), |row, columns| {
+            painter.paint(*building, limits.as_deref(), seen, |row, columns| {
                 let run = run(row, columns);
                 heights[run.clone()].fill(*top_m);
                 sources[run].fill(*source as u8);
-            })
-        };
-        if has_cells && attributes.kind == Kind::Outline && !attributes.raised {
-            match object {
-                ObjectId::Way(_) => ways += 1,
-                object => {
-                    relations.insert(*object);
-                }
-            }
+            });
         }
     }
-
-    let mut by_source = [0_u64; 4];
-    for row in crop.clone() {
-        for &source in &sources[row * cells + crop.start..row * cells + crop.end] {
-            by_source[usize::from(source)] += 1;
-        }
-    }
-    let [_, height, levels, default] = by_source;
-    let built_cells = BuiltBySource { height, levels, default };
-    let statistics = TileStatistics {
-        buildings: ways + relations.len() as u32,
-        built: built_cells.total() as f64 / (crop.len() * crop.len()) as f64,
-        max_height_m: heights.iter().copied().fold(0.0, f32::max),
-        built_cells,
-    };
-    HeightGrid { height_m, height_source, statistics }
 }
 
 /// Finds the cells of footprints and of regions within them.
@@ -123,26 +164,29 @@ impl<'a> Painter<'a> {
         Self { city, window, scanline: Scanline::default(), mask: Vec::new() }
     }
 
-    /// Calls `paint(row, columns)` for the runs of cells of a building's footprint that lie within
-    /// limits. Returns whether the footprint itself has a cell.
+    /// Calls `seen(row, columns)` for the runs of cells of a building's footprint, and `paint(row, columns)`
+    /// for those of them that lie within limits.
     fn paint(
         &mut self,
         building: u32,
         limits: Option<&Limits>,
+        mut seen: impl FnMut(usize, &Range<usize>),
         mut paint: impl FnMut(usize, Range<usize>),
-    ) -> bool {
+    ) {
         let city = self.city;
         let footprint = &city.buildings()[building as usize].footprint;
-        let mut has_cells = false;
         let Some(limits) = limits else {
             for polygon in footprint {
-                has_cells |= self.scanline.fill(polygon, &self.window, &mut paint);
+                self.scanline.fill(polygon, &self.window, |row, run| {
+                    seen(row, &run);
+                    paint(row, run);
+                });
             }
-            return has_cells;
+            return;
         };
         let (rows, columns) = self.cells_around(building);
         if rows.is_empty() || columns.is_empty() {
-            return false;
+            return;
         }
         self.mask.clear();
         self.mask.resize(rows.len() * columns.len(), 0);
@@ -152,7 +196,8 @@ impl<'a> Painter<'a> {
         self.cover(&limits.without, Self::WITHOUT, &rows, &columns);
         let wanted = (1_u8 << limits.within.len()) - 1;
         for polygon in footprint {
-            has_cells |= self.scanline.fill(polygon, &self.window, |row, run| {
+            self.scanline.fill(polygon, &self.window, |row, run| {
+                seen(row, &run);
                 let at = (row - rows.start) * columns.len();
                 let mask = &self.mask[at + run.start - columns.start..at + run.end - columns.start];
                 let mut column = run.start;
@@ -164,7 +209,6 @@ impl<'a> Painter<'a> {
                 }
             });
         }
-        has_cells
     }
 
     /// Sets a bit of the mask for the cells of footprints.

@@ -5,6 +5,8 @@
 
 #[cfg(any(feature = "build", feature = "remote"))]
 mod atomic;
+#[cfg(feature = "build")]
+mod deflate;
 mod hash;
 mod list;
 mod npy;
@@ -19,6 +21,8 @@ mod seal;
 #[cfg(feature = "build")]
 mod sealed;
 mod seekable;
+#[cfg(feature = "build")]
+mod zip;
 
 #[cfg(feature = "build")]
 pub use atomic::{write_atomic, write_atomic_with};
@@ -46,3 +50,5 @@ pub use sealed::SealError;
 #[cfg(feature = "build")]
 pub(crate) use sealed::{read_sealed, sealed_files};
 pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};
+#[cfg(feature = "build")]
+pub(crate) use zip::{Runs, npz_of_runs};
