@@ -196,6 +196,9 @@ fmt-check: | tools
 lint: | tools
 	cargo clippy --locked --all-targets --features remote -- -D warnings
 	cargo clippy --locked --lib --bins -- -D warnings
+	@# Each feature alone: what others bring along is not taken for granted.
+	for features in '' build report remote; do \
+	  cargo clippy --locked --lib --no-default-features --features "$$features" -- -D warnings || exit 1; done
 	@# fuzz/ has a lock file of its own, which a new dependency here leaves behind.
 	cargo metadata --locked --format-version 1 --manifest-path fuzz/Cargo.toml > /dev/null
 
@@ -216,7 +219,7 @@ test: test-rust test-torch test-report test-release test-remote
 
 .PHONY: test-rust
 test-rust: | tools
-	cargo test --locked --features remote
+	cargo test --locked --no-fail-fast --features remote
 
 # What needs libtorch, with the other feature beside it: lints, unit tests, training end to end, losses and gradients against
 # PyTorch. The wheel of PyTorch is that of libtorch; empty libraries stand in for those of CUDA that it would ask for.

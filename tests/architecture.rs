@@ -206,7 +206,7 @@ fn real_imports_are_found() {
     let imports = Crate::of(&sources).imports();
     let stage = &imports["src/rasterise/stage.rs"];
     // By name, by way of what modules re-export, and of a neighbour.
-    for file in ["src/osm/passes.rs", "src/store/output/build.rs", "src/rasterise/tile.rs"] {
+    for file in ["src/osm/passes.rs", "src/store/output/build.rs", "src/rasterise/blocks.rs"] {
         assert!(stage.contains(file), "{file} in {stage:?}");
     }
     assert!(imports.values().map(BTreeSet::len).sum::<usize>() > 500);

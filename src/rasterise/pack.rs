@@ -13,7 +13,7 @@ const HEIGHT_BYTES: usize = size_of::<f32>();
 
 /// The arrays of a tile as `.npy`.
 #[derive(Debug, Default)]
-struct Arrays {
+struct TileArrays {
     /// Cells along a side.
     cells: usize,
     height_m: Vec<u8>,
@@ -22,10 +22,10 @@ struct Arrays {
 
 thread_local! {
     /// Memory that is used for one tile after the other.
-    static ARRAYS: RefCell<Arrays> = RefCell::default();
+    static ARRAYS: RefCell<TileArrays> = RefCell::default();
 }
 
-impl Arrays {
+impl TileArrays {
     /// Tiles without any building.
     fn empty(cells: usize) -> Self {
         Self {
@@ -63,7 +63,7 @@ impl Arrays {
 pub(super) fn pack_blocks(tile: &BlockTile<'_>, cells: usize, meta: Vec<u8>) -> Vec<u8> {
     ARRAYS.with_borrow_mut(|arrays| {
         if arrays.cells != cells {
-            *arrays = Arrays::empty(cells);
+            *arrays = TileArrays::empty(cells);
         }
         let (heights, sources) = arrays.data();
         heights.fill([0; HEIGHT_BYTES]);
@@ -82,5 +82,5 @@ pub(super) fn pack_grid(tile: &HeightGrid, meta: Vec<u8>) -> Vec<u8> {
     let HeightGrid { height_m, height_source, .. } = tile;
     let (cells, height_m, height_source) =
         (height_m.nrows(), npy_bytes(height_m), npy_bytes(height_source));
-    Arrays { cells, height_m, height_source }.npz(meta)
+    TileArrays { cells, height_m, height_source }.npz(meta)
 }

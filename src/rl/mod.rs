@@ -28,12 +28,11 @@
 #[cfg(feature = "torch")]
 pub mod agent;
 mod cell;
-mod centered;
+mod centered_encoder;
 mod distance;
-mod encode;
+mod encoder;
 mod env;
 mod flight;
-mod inputs;
 mod maps;
 mod oracle;
 pub mod policy;
@@ -42,25 +41,26 @@ mod priorities;
 mod replay;
 mod returns;
 mod sight;
+mod state_encoder;
 mod symmetry;
 mod world;
 
 pub use crate::random::Random;
 pub use cell::{Actions, Cell};
-pub use centered::CenteredEncoder;
+pub use centered_encoder::CenteredEncoder;
 pub use distance::{neighbourhood, wall_distances_m};
-pub use encode::{CHANNELS, Encoder, State, normalised_rsrp};
+pub use encoder::{CHANNELS, Encoder, State, normalised_rsrp};
 pub use env::{Environment, EpisodeState, Outcome};
 pub use flight::{
     Flight, Measurement, REWARD_BLOCKED, REWARD_HOLE, REWARD_STEP, Step, rewards_into,
 };
-pub use inputs::StateEncoder;
 pub use maps::{MapKey, MapList, NothingToLearn};
 pub use oracle::Hops;
 pub use pool::{MapPool, MapSource, PoolError, PoolState, load_sample, load_split};
 pub use replay::{MAX_STEPS, ReplayBuffer, Sample, Transition};
 pub use returns::NStepBuffer;
 pub use sight::{ActionSet, Sight};
+pub use state_encoder::StateEncoder;
 pub use symmetry::Symmetry;
 pub use world::World;
 pub(crate) use world::neighbours;

@@ -234,14 +234,16 @@ fn huffman(weights: &[u64]) -> Vec<u8> {
     let (mut next_leaf, mut next_pair) = (0, 0);
     while leaves.len() - next_leaf + pairs.len() - next_pair > 1 {
         let mut take = || {
-            let leaf = leaves.get(next_leaf).map(|&at| weights[at]);
-            let pair = pairs.get(next_pair).map(|pair: &(u64, _)| pair.0);
-            if pair.is_none() || leaf.is_some_and(|leaf| Some(leaf) <= pair) {
-                next_leaf += 1;
-                (leaf.expect("one of the two"), leaves[next_leaf - 1])
-            } else {
-                next_pair += 1;
-                (pair.expect("checked"), weights.len() + next_pair - 1)
+            let leaf = leaves.get(next_leaf).map(|&at| (weights[at], at));
+            match pairs.get(next_pair) {
+                Some(&(pair, _)) if leaf.is_none_or(|(leaf, _)| leaf > pair) => {
+                    next_pair += 1;
+                    (pair, weights.len() + next_pair - 1)
+                }
+                _ => {
+                    next_leaf += 1;
+                    leaf.expect("one of the two is left")
+                }
             }
         };
         let (one, other) = (take(), take());
@@ -280,7 +282,9 @@ fn write_codes(out: &mut Bits, symbols: &Code, reaches: &Code) {
         }
     }
     let mut counts = [0_u32; 19];
-    coded.iter().for_each(|&(symbol, ..)| counts[symbol] += 1);
+    for &(symbol, ..) in &coded {
+        counts[symbol] += 1;
+    }
     let code = Code::of(&counts, MAX_LENGTH_BITS);
     let last = HEADER_ORDER.iter().rposition(|&symbol| code.lengths[symbol] > 0);
     let listed = last.map_or(0, |last| last + 1).max(4);
@@ -374,7 +378,7 @@ mod tests {
         for bytes in [vec![], vec![7], vec![0; 100_000], vec![1, 2, 3, 4]] {
             assert_eq!(inflated(&deflate_runs(&bytes, 0, 1, 10)), bytes);
         }
-        assert!(deflate_runs(&[0; 1_000_000], 0, 4, 4000).len() < 2000);
+        assert!(deflate_runs(&vec![0; 1_000_000], 0, 4, 4000).len() < 2000);
     }
 
     proptest! {

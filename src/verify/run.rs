@@ -18,7 +18,7 @@ const LOG: &str = RunManifest::LOG;
 
 /// What all checkpoints tell.
 #[derive(Deserialize)]
-struct State {
+struct CheckpointFacts {
     dataset_sha256: String,
     rl: Value,
     counters: Counted,
@@ -84,9 +84,9 @@ fn check_checkpoint(
     let Ok(bytes) = read_sealed(directory, STATE) else {
         return files.len();
     };
-    match rmp_serde::from_slice::<State>(&bytes) {
+    match rmp_serde::from_slice::<CheckpointFacts>(&bytes) {
         Err(error) => wrong(STATE, error.to_string()),
-        Ok(State { dataset_sha256, rl, counters }) => {
+        Ok(CheckpointFacts { dataset_sha256, rl, counters }) => {
             if dataset_sha256 != manifest.dataset.sha256 {
                 wrong(STATE, format!("of another dataset than {}", RunManifest::FILE));
             }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use tch::{Device, Tensor};
 
 use super::device::upload;
-use super::encoding::{DeviceEncoder, Reference};
+use super::device_encoder::{DeviceEncoder, Reference};
 use crate::config::{RlConfig, TrainConfig};
 use crate::rl::policy::View;
 use crate::rl::{

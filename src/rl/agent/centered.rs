@@ -21,8 +21,8 @@ const HALF: [Layer; 2] = [conv("window.1", 3, 2), conv("window.2", 3, 1)];
 const QUARTER: [Layer; 2] = [conv("window.3", 3, 2), conv("window.4", 3, 1)];
 const UP: [Layer; 3] = [transposed("up.0", 2), conv("up.1", 3, 1), transposed("up.2", 2)];
 const HEAD: [Layer; 2] = [conv("head.0", 3, 1), conv("head.1", 3, 1)];
-const CONTEXT: i64 = crate::rl::centered::CONTEXT as i64;
-const BLOCKS: i64 = crate::rl::centered::BLOCKS as i64;
+const CONTEXT: i64 = crate::rl::centered_encoder::CONTEXT as i64;
+const BLOCKS: i64 = crate::rl::centered_encoder::BLOCKS as i64;
 
 /// The layers in the order of their parameters, each with its channels in and out.
 pub(super) fn layers(

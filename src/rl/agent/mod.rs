@@ -7,7 +7,7 @@ mod checkpoint;
 mod damage;
 mod ddqn;
 mod device;
-mod encoding;
+mod device_encoder;
 mod export;
 mod inputs;
 mod layer;

@@ -3,8 +3,8 @@
 use rayon::prelude::*;
 
 use super::cell::Actions;
-use super::centered::CenteredEncoder;
-use super::encode::{CHANNELS, Encoder, State};
+use super::centered_encoder::CenteredEncoder;
+use super::encoder::{CHANNELS, Encoder, State};
 use crate::config::{Encoding, RlConfig, TrainConfig};
 
 /// The encoder that a network is trained with.

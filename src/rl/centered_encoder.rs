@@ -11,7 +11,7 @@
 use std::ops::Range;
 
 use super::cell::{Actions, Cell};
-use super::encode::{State, decay_table};
+use super::encoder::{State, decay_table};
 use super::sight::Sight;
 use super::world::World;
 use crate::config::{Channel, RlConfig};
