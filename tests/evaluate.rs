@@ -84,7 +84,7 @@ fn an_evaluation_is_whole_and_verifies() {
 fn an_evaluation_that_contradicts_itself_does_not_verify() {
     for (file, from, to, says) in [
         ("scores.csv", "oracle", "agent", "scores.csv: its figures are not those of report.json"),
-        ("report.json", "\"split\": \"val\"", "\"split\": \"test\"", "report.json: split differs"),
+        ("report.json", "\"split\": \"", "\"split\": \"no", "report.json: split differs"),
         ("report.json", "\"bootstrap\"", "\"bootsprat\"", "report.json: "),
     ] {
         let (_dir, copy, files) = copy_of(&EVALUATION);
