@@ -23,11 +23,11 @@ const MAX_CELLS: usize = u16::MAX as usize;
 
 /// Cells of a row that have one height, of one source.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Run {
+struct Run {
     start: u16,
     end: u16,
-    pub(super) height_m: f32,
-    pub(super) source: u8,
+    height_m: f32,
+    source: u8,
 }
 
 /// A painted block.
@@ -186,21 +186,18 @@ pub(super) struct BlockTile<'a> {
 }
 
 impl BlockTile<'_> {
-    /// Calls `with(row, columns, run)` for all runs of the tile, row by row.
-    pub(super) fn for_each_run(&self, mut with: impl FnMut(usize, Range<usize>, Run)) {
+    /// Calls `with(columns, height, source)` for all runs of a row, from west to east.
+    pub(super) fn for_each_run_of(&self, row: usize, mut with: impl FnMut(Range<usize>, f32, u8)) {
         let (cells, side, count) = (self.of.grid.side_cells(), self.of.side, self.of.count());
-        for row in 0..cells {
-            let blocks = &self.blocks[row / side * count..][..count];
-            for (at, block) in blocks.iter().enumerate() {
-                let west = at * side;
-                for &run in painted(block).row(row % side) {
-                    let columns = west + usize::from(run.start)..west + usize::from(run.end);
-                    let columns = columns.start..columns.end.min(cells);
-                    if columns.is_empty() {
-                        break;
-                    }
-                    with(row, columns, run);
+        let blocks = &self.blocks[row / side * count..][..count];
+        for (at, block) in blocks.iter().enumerate() {
+            let west = at * side;
+            for &Run { start, end, height_m, source } in painted(block).row(row % side) {
+                let columns = west + usize::from(start)..(west + usize::from(end)).min(cells);
+                if columns.is_empty() {
+                    break;
                 }
+                with(columns, height_m, source);
             }
         }
     }
@@ -210,13 +207,15 @@ impl BlockTile<'_> {
         let grid = self.of.grid;
         let crop = grid.crop_offset_cells()..grid.crop_offset_cells() + grid.crop_cells();
         let (mut by_source, mut max_height_m) = ([0_u64; 4], 0.0_f32);
-        self.for_each_run(|row, columns, run| {
-            max_height_m = max_height_m.max(run.height_m);
-            let inside = columns.start.max(crop.start)..columns.end.min(crop.end);
-            if crop.contains(&row) && !inside.is_empty() {
-                by_source[usize::from(run.source)] += inside.len() as u64;
-            }
-        });
+        for row in 0..grid.side_cells() {
+            self.for_each_run_of(row, |columns, height, source| {
+                max_height_m = max_height_m.max(height);
+                let inside = columns.start.max(crop.start)..columns.end.min(crop.end);
+                if crop.contains(&row) && !inside.is_empty() {
+                    by_source[usize::from(source)] += inside.len() as u64;
+                }
+            });
+        }
         statistics(count(self.of.city, self.seen()), by_source, max_height_m, crop.len())
     }
 
@@ -257,12 +256,14 @@ mod tests {
         let cells = grid.side_cells();
         let mut height_m = ndarray::Array2::zeros((cells, cells));
         let mut height_source = ndarray::Array2::zeros((cells, cells));
-        tile.for_each_run(|row, columns, run| {
-            for column in columns {
-                height_m[[row, column]] = run.height_m;
-                height_source[[row, column]] = run.source;
-            }
-        });
+        for row in 0..cells {
+            tile.for_each_run_of(row, |columns, height, source| {
+                for column in columns {
+                    height_m[[row, column]] = height;
+                    height_source[[row, column]] = source;
+                }
+            });
+        }
         HeightGrid { height_m, height_source, statistics: tile.statistics() }
     }
 

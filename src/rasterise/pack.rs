@@ -1,86 +1,98 @@
 //! The file of a tile: heights, their sources and what it says of itself, as `.npz`.
 
-use std::cell::RefCell;
+use std::ops::Range;
 
 use ndarray::{Array1, Array2};
 
 use super::blocks::BlockTile;
 use super::tile::HeightGrid;
-use crate::store::{Runs, npy_bytes, npz_of_runs};
+use crate::store::{RowDeflater, Segment, deflate_small, npy_bytes, npz_of_deflated};
 
-/// Bytes of a height.
-const HEIGHT_BYTES: usize = size_of::<f32>();
-
-/// The arrays of a tile as `.npy`.
-#[derive(Debug, Default)]
-struct TileArrays {
+/// Packs tiles of one size.
+#[derive(Debug)]
+pub(super) struct Packer {
     /// Cells along a side.
     cells: usize,
-    height_m: Vec<u8>,
-    height_source: Vec<u8>,
+    /// What stands in an `.npy` before the numbers.
+    heights: Vec<u8>,
+    sources: Vec<u8>,
 }
 
-thread_local! {
-    /// Memory that is used for one tile after the other.
-    static ARRAYS: RefCell<TileArrays> = RefCell::default();
-}
+impl Packer {
+    /// For tiles of `cells` × `cells` cells.
+    pub(super) fn new(cells: usize) -> Self {
+        let shape = (cells, cells);
+        let mut heights = npy_bytes(&Array2::<f32>::zeros(shape));
+        heights.truncate(heights.len() - cells * cells * size_of::<f32>());
+        let mut sources = npy_bytes(&Array2::<u8>::zeros(shape));
+        sources.truncate(sources.len() - cells * cells);
+        Self { cells, heights, sources }
+    }
 
-impl TileArrays {
-    /// Tiles without any building.
-    fn empty(cells: usize) -> Self {
-        Self {
-            cells,
-            height_m: npy_bytes(&Array2::<f32>::zeros((cells, cells))),
-            height_source: npy_bytes(&Array2::<u8>::zeros((cells, cells))),
+    /// The file of a tile of blocks.
+    pub(super) fn blocks(&self, tile: &BlockTile<'_>, meta: Vec<u8>) -> Vec<u8> {
+        self.pack(meta, |row, run| tile.for_each_run_of(row, run))
+    }
+
+    /// The file of a tile.
+    pub(super) fn grid(&self, tile: &HeightGrid, meta: Vec<u8>) -> Vec<u8> {
+        self.pack(meta, |row, run| {
+            let heights = tile.height_m.row(row);
+            let sources = tile.height_source.row(row);
+            let cells: Vec<(f32, u8)> =
+                heights.iter().copied().zip(sources.iter().copied()).collect();
+            let mut at = 0;
+            for same in cells.chunk_by(|a, b| a.0.to_bits() == b.0.to_bits() && a.1 == b.1) {
+                run(at..at + same.len(), same[0].0, same[0].1);
+                at += same.len();
+            }
+        })
+    }
+
+    /// `row` gives the runs of a row with height and source, from west to east; between them nothing is.
+    fn pack(
+        &self,
+        meta: Vec<u8>,
+        row: impl Fn(usize, &mut dyn FnMut(Range<usize>, f32, u8)),
+    ) -> Vec<u8> {
+        let cells = self.cells;
+        let mut heights = RowDeflater::new(&self.heights, cells, size_of::<f32>());
+        let mut sources = RowDeflater::new(&self.sources, cells, 1);
+        let (mut of_heights, mut of_sources) = (Vec::new(), Vec::new());
+        for number in 0..cells {
+            of_heights.clear();
+            of_sources.clear();
+            let mut both = |end: usize, height: f32, source: u8| {
+                push(&mut of_heights, end, height.to_le_bytes());
+                push(&mut of_sources, end, [source, 0, 0, 0]);
+            };
+            let mut at = 0;
+            row(number, &mut |run, height, source| {
+                both(run.start, 0.0, 0);
+                both(run.end, height, source);
+                at = run.end;
+            });
+            if at < cells {
+                both(cells, 0.0, 0);
+            }
+            heights.row(&of_heights);
+            sources.row(&of_sources);
         }
-    }
-
-    /// Both arrays without their headers, in row-major order.
-    fn data(&mut self) -> (&mut [[u8; HEIGHT_BYTES]], &mut [u8]) {
-        let cells = self.cells * self.cells;
-        let heights = self.height_m.len() - cells * HEIGHT_BYTES;
-        let sources = self.height_source.len() - cells;
-        (self.height_m[heights..].as_chunks_mut().0, &mut self.height_source[sources..])
-    }
-
-    fn npz(&self, meta: Vec<u8>) -> Vec<u8> {
-        let Self { cells, height_m, height_source } = self;
-        let meta = npy_bytes(&Array1::from_vec(meta));
-        let runs = |npy: &'_ [u8], element: usize| {
-            let header = npy.len() - cells * cells * element;
-            (header, element, cells * element)
-        };
-        let (header, element, row) = runs(height_m, HEIGHT_BYTES);
-        let heights = Runs { npy: height_m, header, element, row };
-        let (header, element, row) = runs(height_source, 1);
-        let sources = Runs { npy: height_source, header, element, row };
-        let meta = Runs { npy: &meta, header: meta.len(), element: 1, row: 1 };
-        npz_of_runs(&[("height_m", heights), ("height_source", sources), ("meta_json", meta)])
+        let meta = deflate_small(&npy_bytes(&Array1::from_vec(meta)));
+        npz_of_deflated(&[
+            ("height_m", heights.finish()),
+            ("height_source", sources.finish()),
+            ("meta_json", meta),
+        ])
     }
 }
 
-/// The file of a tile of blocks, of `cells` × `cells` cells.
-pub(super) fn pack_blocks(tile: &BlockTile<'_>, cells: usize, meta: Vec<u8>) -> Vec<u8> {
-    ARRAYS.with_borrow_mut(|arrays| {
-        if arrays.cells != cells {
-            *arrays = TileArrays::empty(cells);
-        }
-        let (heights, sources) = arrays.data();
-        heights.fill([0; HEIGHT_BYTES]);
-        sources.fill(0);
-        tile.for_each_run(|row, columns, run| {
-            let columns = row * cells + columns.start..row * cells + columns.end;
-            heights[columns.clone()].fill(run.height_m.to_le_bytes());
-            sources[columns].fill(run.source);
-        });
-        arrays.npz(meta)
-    })
-}
-
-/// The file of a tile.
-pub(super) fn pack_grid(tile: &HeightGrid, meta: Vec<u8>) -> Vec<u8> {
-    let HeightGrid { height_m, height_source, .. } = tile;
-    let (cells, height_m, height_source) =
-        (height_m.nrows(), npy_bytes(height_m), npy_bytes(height_source));
-    TileArrays { cells, height_m, height_source }.npz(meta)
+/// Goes on to `end` with a value, which makes the last segment longer if it is the same.
+fn push(segments: &mut Vec<Segment>, end: usize, value: [u8; 4]) {
+    let begin = segments.last().map_or(0, |last| last.end);
+    match segments.last_mut() {
+        _ if begin == end => {}
+        Some(last) if last.value == value => last.end = end,
+        _ => segments.push(Segment { end, value }),
+    }
 }

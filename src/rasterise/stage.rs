@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::blocks::Blocks;
-use super::pack::{pack_blocks, pack_grid};
+use super::pack::Packer;
 use super::tile_source::TileSource;
 use super::unseen::without_cells;
 use crate::building::{Action, Building, Defect, HeightSource, Kind, Problem};
@@ -129,9 +129,9 @@ pub fn rasterise(
     let source = TileSource::new(&city, grid, utm);
     let candidates = select(&source, job.area, grid)?;
 
-    let blocks = Blocks::new(&city, grid, &candidates);
+    let (blocks, packer) = (Blocks::new(&city, grid, &candidates), Packer::new(grid.side_cells()));
     let tile = |id: &TileId, item: Item<'_>| {
-        let how = Painting { source: &source, blocks: blocks.as_ref() };
+        let how = Painting { source: &source, blocks: blocks.as_ref(), packer: &packer };
         build_tile(*id, how, &config, item)
     };
     let how = ("rasterising tiles", Parallel::Across);
@@ -207,11 +207,12 @@ fn select(
 struct Painting<'a> {
     source: &'a TileSource<'a>,
     blocks: Option<&'a Blocks<'a>>,
+    packer: &'a Packer,
 }
 
 fn build_tile(
     id: TileId,
-    Painting { source, blocks }: Painting<'_>,
+    Painting { source, blocks, packer }: Painting<'_>,
     config: &TilesConfig,
     item: Item<'_>,
 ) -> Result<Finished<Candidate>, RasteriseError> {
@@ -222,15 +223,12 @@ fn build_tile(
         let tile = blocks.tile(id);
         let statistics = tile.statistics();
         let is_kept = verdict(&statistics) == Verdict::Kept;
-        (
-            statistics,
-            is_kept.then(|| pack_blocks(&tile, config.grid.side_cells(), meta(statistics))),
-        )
+        (statistics, is_kept.then(|| packer.blocks(&tile, meta(statistics))))
     } else {
         let tile = source.rasterise(id);
         let statistics = tile.statistics;
         let is_kept = verdict(&statistics) == Verdict::Kept;
-        (statistics, is_kept.then(|| pack_grid(&tile, meta(statistics))))
+        (statistics, is_kept.then(|| packer.grid(&tile, meta(statistics))))
     };
     let candidate = |written: &[Digest]| Candidate {
         id,

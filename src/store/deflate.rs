@@ -1,11 +1,11 @@
 //! Deflate (RFC 1951) of arrays that consist of runs: heights of buildings, of which a row repeats its
 //! last value or the row above over long stretches.
 //!
-//! A general compressor hashes every few bytes to find out what the layout of such an array tells
-//! already. Two distances are enough, the size of an element and that of a row, and comparing eight bytes
-//! at a time finds how far each goes. On tiles of San Jose it compresses eight times as fast as level 2 of
-//! zlib-rs, to fewer bytes (`benches/RESULTS.md`); libdeflate is slower there. The output depends on the
-//! array alone.
+//! A general compressor hashes every few bytes to find out what a rasteriser knows: where values change. Two
+//! distances are enough, the size of an element and that of a row, and the ends of runs tell how far each
+//! goes, so that the bytes themselves are only needed for their checksum. On tiles of San Jose this takes a
+//! fraction of the time of zlib-rs, for fewer bytes (`benches/RESULTS.md`); libdeflate is slower there. The
+//! output depends on the array alone.
 
 /// Longest match of the format, and the shortest.
 const LONGEST: usize = 258;
@@ -30,20 +30,167 @@ enum Token {
     Match(u16, bool),
 }
 
-/// The deflated bytes of a header, as it is, and of an array behind it whose elements and rows have so many
-/// bytes.
-///
-/// # Panics
-/// If an element has no bytes, or the array no whole number of elements.
-pub(super) fn deflate_runs(bytes: &[u8], header: usize, element: usize, row: usize) -> Vec<u8> {
-    assert!(element > 0 && (bytes.len() - header).is_multiple_of(element), "whole elements");
-    let row = if row > element && row <= WINDOW { row } else { 0 };
-    let tokens = tokens(bytes, header, element, row);
-    let distances = [Distance::of(element), Distance::of(row.max(1))];
+/// Cells of a row up to `end` that have one value, of which the first bytes of an element count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Segment {
+    pub(crate) end: usize,
+    pub(crate) value: [u8; 4],
+}
 
+/// A deflated file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Deflated {
+    pub(super) bytes: Vec<u8>,
+    /// Of the file as it was.
+    pub(super) crc32: u32,
+    pub(super) length: usize,
+}
+
+/// Deflates an array row by row, behind a header.
+pub(crate) struct RowDeflater {
+    cells: usize,
+    element: usize,
+    tokens: Vec<Token>,
+    /// A match that the next cells may make longer: its bytes, and whether it reaches back a row.
+    pending: (usize, bool),
+    /// The row before, as segments and as bytes, once there is one.
+    previous: Vec<Segment>,
+    line: Vec<u8>,
+    crc32: crc32fast::Hasher,
+    length: usize,
+}
+
+impl RowDeflater {
+    /// For rows of so many cells, each an element of 1 to 4 bytes.
+    pub(crate) fn new(header: &[u8], cells: usize, element: usize) -> Self {
+        let mut crc32 = crc32fast::Hasher::new();
+        crc32.update(header);
+        Self {
+            cells,
+            element,
+            tokens: header.iter().map(|&byte| Token::Literal(byte)).collect(),
+            pending: (0, false),
+            previous: Vec::new(),
+            line: vec![0; cells * element],
+            crc32,
+            length: header.len(),
+        }
+    }
+
+    /// Adds a row: segments that follow each other from its first to its last cell, neighbours with different
+    /// values.
+    pub(crate) fn row(&mut self, segments: &[Segment]) {
+        let (element, reaches) = (self.element, self.cells * self.element <= WINDOW);
+        let mut last = self.previous.last().map(|segment| segment.value);
+        let previous = std::mem::take(&mut self.previous);
+        let above = if reaches { &previous[..] } else { &[] };
+        let (mut at, mut here, mut there) = (0, 0, 0);
+        while at < self.cells {
+            while segments[here].end <= at {
+                here += 1;
+            }
+            while above.get(there).is_some_and(|segment| segment.end <= at) {
+                there += 1;
+            }
+            let Segment { end, value } = segments[here];
+            let along = if last == Some(value) { end - at } else { 0 };
+            let above = common(&segments[here..], &above[there.min(above.len())..], at);
+            let (cells, is_above) = if above > along { (above, true) } else { (along, false) };
+            if cells * element >= SHORTEST {
+                self.extend(cells * element, is_above);
+                at += cells;
+            } else {
+                self.end_match();
+                self.tokens.extend(value[..element].iter().map(|&byte| Token::Literal(byte)));
+                at += 1;
+            }
+            last = Some(value_before(segments, here, at));
+        }
+        if *previous != *segments {
+            let mut at = 0;
+            for &Segment { end, value } in segments {
+                match element {
+                    4 => self.line[at * 4..end * 4].as_chunks_mut().0.fill(value),
+                    1 => self.line[at..end].fill(value[0]),
+                    _ => {
+                        let cells =
+                            self.line[at * element..end * element].chunks_exact_mut(element);
+                        cells.for_each(|cell| cell.copy_from_slice(&value[..element]));
+                    }
+                }
+                at = end;
+            }
+        }
+        self.crc32.update(&self.line);
+        self.length += self.line.len();
+        self.previous = previous;
+        self.previous.clear();
+        self.previous.extend(segments);
+    }
+
+    /// Makes a match longer, or begins one.
+    fn extend(&mut self, bytes: usize, above: bool) {
+        if self.pending.1 != above {
+            self.end_match();
+        }
+        self.pending = (self.pending.0 + bytes, above);
+    }
+
+    fn end_match(&mut self) {
+        let (mut left, above) = std::mem::take(&mut self.pending);
+        while left > 0 {
+            let most = left.min(LONGEST);
+            // What is left must be long enough for a match too.
+            let rest = left - most;
+            let now = if rest > 0 && rest < SHORTEST { most - SHORTEST } else { most };
+            self.tokens.push(Token::Match(now as u16, above));
+            left -= now;
+        }
+    }
+
+    /// The deflated file.
+    pub(crate) fn finish(mut self) -> Deflated {
+        self.end_match();
+        let bytes = encode(&self.tokens, self.element, self.cells * self.element);
+        Deflated { bytes, crc32: self.crc32.finalize(), length: self.length }
+    }
+}
+
+/// A file that is not looked at closely, since it is small.
+pub(crate) fn deflate_small(bytes: &[u8]) -> Deflated {
+    RowDeflater::new(bytes, 0, 1).finish()
+}
+
+/// The value of the cell before `at`, which lies in the segment `here` or begins the next one.
+fn value_before(segments: &[Segment], here: usize, at: usize) -> [u8; 4] {
+    let holds = |segment: &&Segment| segment.end >= at;
+    segments[here..].iter().find(holds).map_or([0; 4], |segment| segment.value)
+}
+
+/// Cells from `at` on that two rows have in common.
+fn common(one: &[Segment], other: &[Segment], at: usize) -> usize {
+    let (mut ones, mut others) = (one.iter(), other.iter());
+    let (mut a, mut b, mut end) = (ones.next(), others.next(), at);
+    while let (Some(here), Some(there)) = (a, b)
+        && here.value == there.value
+    {
+        end = here.end.min(there.end);
+        if here.end == end {
+            a = ones.next();
+        }
+        if there.end == end {
+            b = others.next();
+        }
+    }
+    end - at
+}
+
+/// One block, the last one, with codes of its own.
+fn encode(tokens: &[Token], element: usize, row: usize) -> Vec<u8> {
+    let distances = [Distance::of(element), Distance::of(row.clamp(1, WINDOW))];
     let (mut symbols, mut reaches) = ([0_u32; 286], [0_u32; 30]);
     symbols[END] = 1;
-    for token in &tokens {
+    for token in tokens {
         match *token {
             Token::Literal(byte) => symbols[usize::from(byte)] += 1,
             Token::Match(length, above) => {
@@ -54,77 +201,24 @@ pub(super) fn deflate_runs(bytes: &[u8], header: usize, element: usize, row: usi
     }
     let (symbols, reaches) = (Code::of(&symbols, MAX_BITS), Code::of(&reaches, MAX_BITS));
     let mut out = Bits::default();
-    // One block, the last one, with codes of its own.
     out.put(0b101, 3);
     write_codes(&mut out, &symbols, &reaches);
-    for token in &tokens {
+    let lengths = LENGTHS.map(|Length { symbol, extra, bits }| symbols.with(symbol, extra, bits));
+    let reaches =
+        distances.map(|Distance { symbol, extra, bits }| reaches.with(symbol, extra, bits));
+    for token in tokens {
         match *token {
             Token::Literal(byte) => out.put_code(&symbols, usize::from(byte)),
             Token::Match(length, above) => {
-                let Length { symbol, extra, bits } = LENGTHS[usize::from(length)];
-                out.put_code(&symbols, symbol);
-                out.put(extra.into(), bits);
-                let Distance { symbol, extra, bits } = distances[usize::from(above)];
-                out.put_code(&reaches, symbol);
-                out.put(extra.into(), bits);
+                let (bits, count) = lengths[usize::from(length)];
+                out.put(bits, count);
+                let (bits, count) = reaches[usize::from(above)];
+                out.put(bits, count);
             }
         }
     }
     out.put_code(&symbols, END);
     out.finish()
-}
-
-fn tokens(bytes: &[u8], header: usize, element: usize, row: usize) -> Vec<Token> {
-    let mut tokens: Vec<Token> = bytes[..header].iter().map(|&byte| Token::Literal(byte)).collect();
-    let mut at = header;
-    while at < bytes.len() {
-        let reach = |distance: usize| match distance {
-            0 => 0,
-            _ if at < header + distance => 0,
-            _ => common(bytes, at, distance),
-        };
-        let along = reach(element);
-        // What fills the longest match need not be compared with the row above.
-        let above = if along >= LONGEST { 0 } else { reach(row) };
-        let (length, is_above) = if above > along { (above, true) } else { (along, false) };
-        // Whole elements, so that the next one begins where it should.
-        let length = length - length % element;
-        if length >= SHORTEST {
-            push_matches(&mut tokens, length, is_above);
-            at += length;
-        } else {
-            tokens.extend(bytes[at..at + element].iter().map(|&byte| Token::Literal(byte)));
-            at += element;
-        }
-    }
-    tokens
-}
-
-/// Bytes from `at` on that equal those `distance` before them.
-fn common(bytes: &[u8], at: usize, distance: usize) -> usize {
-    let (new, old) = (&bytes[at..], &bytes[at - distance..bytes.len() - distance]);
-    let (new_words, new_rest) = new.as_chunks::<8>();
-    let (old_words, old_rest) = old.as_chunks::<8>();
-    for (index, (new, old)) in new_words.iter().zip(old_words).enumerate() {
-        let differing = u64::from_le_bytes(*new) ^ u64::from_le_bytes(*old);
-        if differing != 0 {
-            return index * 8 + differing.trailing_zeros() as usize / 8;
-        }
-    }
-    let rest = new_rest.iter().zip(old_rest).take_while(|(new, old)| new == old).count();
-    new_words.len() * 8 + rest
-}
-
-/// Matches of a length together.
-fn push_matches(tokens: &mut Vec<Token>, mut length: usize, above: bool) {
-    while length > 0 {
-        let most = length.min(LONGEST);
-        // What is left must be long enough for a match too.
-        let left = length - most;
-        let now = if left > 0 && left < SHORTEST { most - SHORTEST } else { most };
-        tokens.push(Token::Match(now as u16, above));
-        length -= now;
-    }
 }
 
 /// How a match's length is written.
@@ -212,6 +306,12 @@ impl Code {
             bits
         });
         Self { bits: bits.collect(), lengths }
+    }
+
+    /// A symbol's code with extra bits behind it, and how many these are together.
+    fn with(&self, symbol: usize, extra: u16, bits: u32) -> (u64, u32) {
+        let length = u32::from(self.lengths[symbol]);
+        (u64::from(self.bits[symbol]) | u64::from(extra) << length, length + bits)
     }
 
     /// How many symbols there are up to the last that occurs, at least `least`.
@@ -373,33 +473,65 @@ mod tests {
         assert!((kraft - 1.0).abs() < 1e-9 && code.lengths.iter().all(|&length| length <= 15));
     }
 
-    #[test]
-    fn empty_and_uniform_arrays_are_inflated() {
-        for bytes in [vec![], vec![7], vec![0; 100_000], vec![1, 2, 3, 4]] {
-            assert_eq!(inflated(&deflate_runs(&bytes, 0, 1, 10)), bytes);
+    /// Rows of numbers as segments.
+    fn deflated(header: &[u8], rows: &[Vec<u8>], element: usize) -> Deflated {
+        let cells = rows.first().map_or(0, Vec::len);
+        let mut deflater = RowDeflater::new(header, cells, element);
+        for row in rows {
+            let mut segments: Vec<Segment> = Vec::new();
+            for same in row.chunk_by(|a, b| a == b) {
+                let begin = segments.last().map_or(0, |segment| segment.end);
+                let value = [0, 1, 2, 3].map(|at| same[0].wrapping_mul(at + 1));
+                segments.push(Segment { end: begin + same.len(), value });
+            }
+            deflater.row(&segments);
         }
-        assert!(deflate_runs(&vec![0; 1_000_000], 0, 4, 4000).len() < 2000);
+        deflater.finish()
+    }
+
+    fn bytes(header: &[u8], rows: &[Vec<u8>], element: usize) -> Vec<u8> {
+        let element = |&cell: &u8| (0..element as u8).map(move |at| cell.wrapping_mul(at + 1));
+        [header, &rows.iter().flatten().flat_map(element).collect::<Vec<u8>>()].concat()
+    }
+
+    #[test]
+    fn uniform_arrays_take_next_to_nothing() {
+        assert_eq!(inflated(&deflate_small(b"").bytes), b"");
+        assert_eq!(inflated(&deflate_small(b"text").bytes), b"text");
+        let rows = vec![vec![0; 1000]; 1000];
+        let Deflated { bytes, length, .. } = deflated(b"", &rows, 4);
+        assert_eq!((inflated(&bytes), length), (vec![0; 4_000_000], 4_000_000));
+        assert!(bytes.len() < 5000, "{}", bytes.len());
     }
 
     proptest! {
         #[test]
-        fn arrays_of_runs_are_inflated(
-            runs in prop::collection::vec((0_u8..5, 1_usize..700), 0..60),
+        fn arrays_are_inflated(
+            cells in 1_usize..60,
             header in prop::collection::vec(any::<u8>(), 0..20),
-            (element, columns) in (prop::sample::select(vec![1_usize, 2, 4, 8]), 1_usize..9000),
+            runs in prop::collection::vec((0_u8..4, 1_usize..200), 1..120),
+            (element, stretch) in (1_usize..5, prop::sample::select(vec![1_usize, 1, 1, 300])),
         ) {
-            let mut bytes = header.clone();
-            for (value, length) in runs {
-                let element: Vec<u8> = (0..element as u8).map(|at| value * (at + 1)).collect();
-                bytes.extend(element.repeat(length));
-            }
-            let deflated = deflate_runs(&bytes, header.len(), element, element * columns);
-            prop_assert_eq!(inflated(&deflated), bytes);
+            let all: Vec<u8> =
+                runs.iter().flat_map(|&(value, count)| vec![value; count]).collect();
+            let rows: Vec<Vec<u8>> = all
+                .chunks_exact(cells)
+                .map(|row| row.iter().flat_map(|&cell| vec![cell; stretch]).collect())
+                .collect();
+            let expected = bytes(&header, &rows, element);
+            let Deflated { bytes, crc32, length } = deflated(&header, &rows, element);
+            prop_assert_eq!(inflated(&bytes), &expected[..]);
+            prop_assert_eq!((crc32, length), (crc32fast::hash(&expected), expected.len()));
         }
 
         #[test]
-        fn noise_is_inflated(bytes in prop::collection::vec(any::<u8>(), 0..3000), columns in 1_usize..50) {
-            prop_assert_eq!(inflated(&deflate_runs(&bytes, 0, 1, columns)), bytes);
+        fn noise_is_inflated(
+            rows in (1_usize..40).prop_flat_map(|cells| {
+                prop::collection::vec(prop::collection::vec(any::<u8>(), cells), 0..20)
+            }),
+        ) {
+            let expected = bytes(b"", &rows, 1);
+            prop_assert_eq!(inflated(&deflated(b"", &rows, 1).bytes), expected);
         }
     }
 }

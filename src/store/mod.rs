@@ -26,6 +26,8 @@ mod zip;
 
 #[cfg(feature = "build")]
 pub use atomic::{write_atomic, write_atomic_with};
+#[cfg(feature = "build")]
+pub(crate) use deflate::{RowDeflater, Segment, deflate_small};
 #[cfg(feature = "remote")]
 use hash::sha256_reader;
 pub use hash::{Digest, sha256_bytes, sha256_file};
@@ -51,4 +53,4 @@ pub use sealed::SealError;
 pub(crate) use sealed::{read_sealed, sealed_files};
 pub use seekable::{FrameBuffer, SeekError, SeekTable, SeekableWriter, compress_frame};
 #[cfg(feature = "build")]
-pub(crate) use zip::{Runs, npz_of_runs};
+pub(crate) use zip::npz_of_deflated;
