@@ -21,7 +21,7 @@ use crate::manifest::{
 use crate::osm::{Extract, ExtractError, read_buildings};
 use crate::progress::Progress;
 use crate::store::{
-    Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel,
+    Build, BuildMode, Built, Digest, Finished, Item, Items, Opened, OutputError, Parallel, Part,
     sha256_file,
 };
 
@@ -129,7 +129,10 @@ pub fn rasterise(
     let source = TileSource::new(&city, grid, utm);
     let candidates = select(&source, job.area, grid)?;
 
-    let (blocks, packer) = (Blocks::new(&city, grid, &candidates), Packer::new(grid.side_cells()));
+    // The tiles of a task lie apart, and share little.
+    let is_whole = job.mode.part == Part::Whole;
+    let blocks = is_whole.then(|| Blocks::new(&city, grid, &candidates)).flatten();
+    let packer = Packer::new(grid.side_cells());
     let tile = |id: &TileId, item: Item<'_>| {
         let how = Painting { source: &source, blocks: blocks.as_ref(), packer: &packer };
         build_tile(*id, how, &config, item)
