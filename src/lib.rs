@@ -75,7 +75,7 @@
 //! 5. [`manifest`]: what stages write about their outputs
 //! 6. [`osm`], [`rasterise`], [`scenes`], [`rsrp`]: extracts to buildings to height grids and
 //!    scenes for a ray tracer; anyone's radio maps to aligned RSRP
-//! 7. [`dataset`]: records, splits, shards; verifying and drawing them
+//! 7. [`dataset`]: records, splits, shards; reading and drawing them
 //! 8. [`rl`]: the task on a record, policies, the exact optimum
 //! 9. [`evaluate`]: precision and recall of policies, with intervals, and the report
 //! 10. `train` (feature `torch`): runs that learn an agent
@@ -91,6 +91,7 @@
         dead_code,
         unused_imports,
         unreachable_pub,
+        rustdoc::broken_intra_doc_links,
         reason = "what only further features use is not worth a gate each"
     )
 )]

@@ -53,7 +53,7 @@ pub(super) struct Relative {
 pub struct AlignedMap {
     /// RSRP in dBm per resource element; the floor where the mask is not 0.
     pub rsrp_dbm: Array2<f32>,
-    /// [`MASK_REACHED`], [`MASK_BUILDING`] or [`MASK_UNREACHED`].
+    /// [`MASK_REACHED`](crate::manifest::MASK_REACHED), [`MASK_BUILDING`](crate::manifest::MASK_BUILDING) or [`MASK_UNREACHED`](crate::manifest::MASK_UNREACHED).
     pub mask: Array2<u8>,
     /// What repeats tell, where there are several; 0 where the mask is not 0.
     pub errors: Option<ErrorGrids>,

@@ -1,8 +1,8 @@
 //! `holescout verify`: is every byte what it should be, and does it make sense?
 //!
 //! Works on the output of every stage. Checksums are the same everywhere; what a manifest tells of
-//! is read and compared with it by one check for each type of manifest: [`tiles`], [`scenes`],
-//! [`rsrp`], [`dataset`], [`policy`], [`evaluation`], [`run`].
+//! is read and compared with it by one check for each type of manifest: `tiles`, `scenes`,
+//! `rsrp`, `dataset`, `policy`, `evaluation`, `run`.
 
 mod dataset;
 mod evaluation;

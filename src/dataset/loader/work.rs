@@ -23,7 +23,7 @@ use crate::grid::TileId;
 pub struct Loaded<T> {
     /// The cursor that it was loaded for.
     pub cursor: u64,
-    /// The record's place in [`Loader::ids`].
+    /// The record's place in [`Loader::ids`](super::Loader::ids).
     pub number: u32,
     /// What `decode` returned.
     pub value: T,
