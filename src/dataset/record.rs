@@ -75,12 +75,12 @@ pub struct Record {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats: Option<u32>,
     /// `.npy`, uint16 `[n, n]`: standard error of each level in hundredths of dB, 0 to 434
-    /// (`record.v2`). See [`ErrorGrids`](crate::manifest::ErrorGrids).
+    /// (`record.v2`). See `ErrorGrids`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<Vec<u8>>")]
     pub std_error_db: Option<ByteBuf>,
     /// `.npy`, uint8 `[n, n]`: share of the summed power that the first half of the repeats received,
-    /// in 250ths (`record.v2`, where the map tells it). See [`ErrorGrids`](crate::manifest::ErrorGrids).
+    /// in 250ths (`record.v2`, where the map tells it). See `ErrorGrids`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<Vec<u8>>")]
     pub first_half_share: Option<ByteBuf>,
