@@ -6,7 +6,7 @@ use std::process::Command;
 /// Crates that are built with some features, the library among them.
 fn crates(features: &str) -> BTreeSet<String> {
     let output = Command::new(env!("CARGO"))
-        .args(["tree", "--locked", "--offline", "--no-default-features", "--features", features])
+        .args(["tree", "--locked", "--no-default-features", "--features", features])
         .args(["--edges", "normal,build", "--prefix", "none", "--format", "{p}"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
