@@ -363,6 +363,14 @@ fn a_run_and_the_policy_of_it_verify_until_something_is_changed() {
         assert_says(&run(&mut verify(&out)).refused(), &[says]);
         write(&path, before);
     }
+    // A list that leaves the state out vouches for nothing of it.
+    let list = last.join("SHA256SUMS");
+    let before = read(&list);
+    let text = String::from_utf8(before.clone()).expect("text");
+    let without = text.lines().filter(|line| !line.ends_with("state.msgpack"));
+    write(&list, without.flat_map(|line| [line, "\n"]).collect::<String>());
+    assert_says(&run(&mut verify(&out)).refused(), &["000000024/state.msgpack: "]);
+    write(&list, before);
     let elsewhere = checkpoint(&out, 23);
     std::fs::rename(&last, &elsewhere).expect("renamed");
     assert_says(&run(&mut verify(&out)).refused(), &["000000023/state.msgpack: of update 24"]);

@@ -118,10 +118,8 @@ impl<'a> Blocks<'a> {
         let half = f64::from(self.grid.side_m) / 2.0;
         let (west, north) = (column as f64 * spacing - half, row as f64 * spacing + half);
         let window = Window { west, north, cell: self.grid.cell_m, cells: self.side };
-        let bounds = Rect::new(
-            coord! { x: west, y: north - spacing },
-            coord! { x: west + spacing, y: north },
-        );
+        let bounds =
+            Rect::new(coord! { x: west, y: window.south() }, coord! { x: window.east(), y: north });
         let buildings = self.city.meeting(&bounds);
         CANVAS.with_borrow_mut(|(heights, sources)| {
             heights.clear();

@@ -219,29 +219,27 @@ fn build_tile(
     config: &TilesConfig,
     item: Item<'_>,
 ) -> Result<Finished<Candidate>, RasteriseError> {
-    let verdict = |statistics: &TileStatistics| judge(statistics, &config.filter);
-    let meta = |statistics| to_json(&tile_meta(id, statistics, config));
-    // What is dropped need not be put together.
-    let (statistics, bytes) = if let Some(blocks) = blocks {
+    // What is dropped is not put together.
+    let finish = |statistics, pack: &dyn Fn(Vec<u8>) -> Vec<u8>| {
+        let verdict = judge(&statistics, &config.filter);
+        let bytes =
+            (verdict == Verdict::Kept).then(|| pack(to_json(&tile_meta(id, statistics, config))));
+        let name = file_name(id);
+        let file = bytes.as_ref().map(|bytes| (&*name, &**bytes));
+        let finished = item.finish(file.as_slice(), |written| Candidate {
+            id,
+            statistics,
+            verdict,
+            digest: written.first().cloned(),
+        });
+        Ok(finished?)
+    };
+    if let Some(blocks) = blocks {
         let tile = blocks.tile(id);
-        let statistics = tile.statistics();
-        let is_kept = verdict(&statistics) == Verdict::Kept;
-        (statistics, is_kept.then(|| packer.blocks(&tile, meta(statistics))))
+        finish(tile.statistics(), &|meta| packer.blocks(&tile, meta))
     } else {
         let tile = source.rasterise(id);
-        let statistics = tile.statistics;
-        let is_kept = verdict(&statistics) == Verdict::Kept;
-        (statistics, is_kept.then(|| packer.grid(&tile, meta(statistics))))
-    };
-    let candidate = |written: &[Digest]| Candidate {
-        id,
-        statistics,
-        verdict: verdict(&statistics),
-        digest: written.first().cloned(),
-    };
-    match bytes {
-        Some(bytes) => Ok(item.finish(&[(&file_name(id), &bytes)], candidate)?),
-        None => Ok(item.finish(&[], candidate)?),
+        finish(tile.statistics, &|meta| packer.grid(&tile, meta))
     }
 }
 

@@ -94,7 +94,7 @@ impl RowDeflater {
             }
             let Segment { end, value } = segments[here];
             let along = if last == Some(value) { end - at } else { 0 };
-            let above = common(&segments[here..], &above[there.min(above.len())..], at);
+            let above = common(&segments[here..], &above[there..], at);
             let (cells, is_above) = if above > along { (above, true) } else { (along, false) };
             if cells * element >= SHORTEST {
                 self.extend(cells * element, is_above);

@@ -76,13 +76,18 @@ fn check_checkpoint(
             return 0;
         }
     };
-    for file in &files {
+    // The state is read below, for what it tells.
+    for file in files.iter().filter(|file| *file != STATE) {
         if let Err(error) = read_sealed(directory, file) {
             wrong(file, error.to_string());
         }
     }
-    let Ok(bytes) = read_sealed(directory, STATE) else {
-        return files.len();
+    let bytes = match read_sealed(directory, STATE) {
+        Ok(bytes) => bytes,
+        Err(error) => {
+            wrong(STATE, error.to_string());
+            return files.len();
+        }
     };
     match rmp_serde::from_slice::<CheckpointFacts>(&bytes) {
         Err(error) => wrong(STATE, error.to_string()),

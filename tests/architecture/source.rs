@@ -76,7 +76,6 @@ impl Source {
     pub(crate) fn paths(&self) -> Vec<Vec<String>> {
         let mut paths = self.imported();
         paths.extend(self.re_exports().into_iter().map(|(_, path)| path));
-        paths.extend(self.renamed().into_iter().map(|(_, path)| path));
         paths
     }
 
