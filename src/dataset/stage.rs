@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ndarray::s;
+use ndarray::{Array2, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
@@ -317,9 +317,9 @@ fn build_record(
 ) -> Result<(Record, SplitStatistics), ShardError> {
     let ShardContext { job, config, .. } = context;
     let (tile_entry, map_entry) = (context.tiles[&id], context.maps[&id]);
-    let tile = TileFile::read(job.tiles, tile_entry)?;
+    let heights = TileFile::read_heights(job.tiles, tile_entry)?;
     let map = RsrpFile::read(job.rsrp, map_entry)?;
-    let grids = grids(&tile, &map, config)?;
+    let grids = grids(&heights, &map, config)?;
     let cells = config.shard.record_cells(&config.grid);
     let record = Record {
         schema: Record::SCHEMA.to_owned(),
@@ -357,10 +357,14 @@ fn build_record(
 }
 
 /// Crops, downsamples and lays the height grid's buildings over the mask.
-fn grids(tile: &TileFile, map: &RsrpFile, config: &DatasetConfig) -> Result<Grids, ShardError> {
+fn grids(
+    height_m: &Array2<f32>,
+    map: &RsrpFile,
+    config: &DatasetConfig,
+) -> Result<Grids, ShardError> {
     let DatasetConfig { grid, shard, buildings, .. } = config;
     let crop = grid.crop_offset_cells()..grid.crop_offset_cells() + grid.crop_cells();
-    let heights = tile.height_m.slice(s![crop.clone(), crop]);
+    let heights = height_m.slice(s![crop.clone(), crop]);
     let height_m = downsample_heights(heights, shard.downsample as usize, shard.height);
 
     let (found, expected) = (map.meta.cell_m, shard.cell_m(grid));

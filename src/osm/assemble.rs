@@ -31,11 +31,19 @@ pub(super) struct Projector<'a> {
 
 impl Projector<'_> {
     fn ring(&self, refs: &[i64], defects: &mut Vec<Defect>) -> Result<LineString<f64>, Defect> {
+        // A ring ends where it begins, and projecting is what takes longest.
+        let (open, closing) = match refs {
+            [first, .., last] if first == last => (&refs[..refs.len() - 1], true),
+            _ => (refs, false),
+        };
         let mut points = Vec::with_capacity(refs.len());
-        for place in self.nodes.places(refs) {
+        for place in self.nodes.places(open) {
             let [lon, lat] = place.ok_or(Defect::MissingNodes)?;
             let [x, y] = self.utm.forward(lon, lat).ok_or(Defect::NotProjectable)?;
             points.push(Coord { x, y });
+        }
+        if closing {
+            points.push(points[0]);
         }
         footprint::clean(points, defects)
     }

@@ -1,115 +1,95 @@
-//! The content of one decoded blob: strings, nodes, ways, relations.
+//! The content of one unpacked blob: strings, nodes, ways, relations (OSM wiki, "PBF Format").
 //!
-//! [`check`] establishes once per block what the accessors rely on, so that no index from
-//! a file is used unchecked.
+//! A [`BlockView`] points into the bytes. [`BlockView::read`] establishes once what the accessors rely on, so
+//! that no index from a file is used unchecked.
 
-use osmpbfreader::osmformat::relation::MemberType;
-use osmpbfreader::osmformat::{Info, Node, PrimitiveBlock, PrimitiveGroup, Relation, Way};
-use protobuf::{CodedInputStream, Message, UnknownValueRef};
-
+use super::wire::{Fields, Malformed, Varints, WireValue};
 use crate::building::{BUILDING, BUILDING_PART};
 
 /// Nodes are stored in units of 10⁻⁷ degrees, OSM's own resolution.
 const NANODEGREES_PER_UNIT: i64 = 100;
-/// Fields of a way that the feature `LocationsOnWays` adds (OSM wiki, "PBF Format"); the protobuf
-/// types do not have them yet.
-const WAY_LATITUDES: u32 = 9;
-const WAY_LONGITUDES: u32 = 10;
 
-/// Checks all indices and lengths of a block.
-pub(super) fn check(block: &PrimitiveBlock) -> Result<(), String> {
-    let strings = block.stringtable.s.len();
-    let tags = |what: &str, id: i64, keys: &[u32], values: &[u32]| {
-        let inside = keys.iter().chain(values).all(|&index| (index as usize) < strings);
-        if keys.len() == values.len() && inside {
-            Ok(())
-        } else {
-            Err(format!("tags of {what} {id} do not fit the string table"))
-        }
-    };
-    for group in &block.primitivegroup {
-        let dense = &group.dense;
-        if dense.lat.len() != dense.id.len() || dense.lon.len() != dense.id.len() {
-            return Err("a dense group has more ids than coordinates, or fewer".to_owned());
-        }
-        let flags = dense.denseinfo.visible.len();
-        if flags > 0 && flags != dense.id.len() {
-            return Err("a dense group has more ids than flags, or fewer".to_owned());
-        }
-        for way in &group.ways {
-            tags("way", way.id(), &way.keys, &way.vals)?;
-        }
-        for relation in &group.relations {
-            tags("relation", relation.id(), &relation.keys, &relation.vals)?;
-            let members = relation.memids.len();
-            let roles = relation
-                .roles_sid
-                .iter()
-                .all(|&role| usize::try_from(role).is_ok_and(|role| role < strings));
-            if relation.types.len() != members || relation.roles_sid.len() != members || !roles {
-                return Err(format!("members of relation {} are damaged", relation.id()));
-            }
-        }
+/// Why bytes are no block.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(super) enum BlockError {
+    /// The bytes are no message, or one that no usual writer writes: a list that is not packed, or in
+    /// several pieces. The crate `protobuf` can tell which, and rewrite it.
+    #[error("no message of the format")]
+    Malformed,
+    /// Indices or lengths do not fit each other.
+    #[error("{0}")]
+    Inconsistent(String),
+}
+
+impl From<Malformed> for BlockError {
+    fn from(_: Malformed) -> Self {
+        Self::Malformed
     }
-    Ok(())
 }
 
-/// The text at an index of the string table; text that is not UTF-8 matches no key or value.
-fn string(block: &PrimitiveBlock, index: u32) -> &str {
-    std::str::from_utf8(&block.stringtable.s[index as usize]).unwrap_or("\u{fffd}")
+/// One block of a file (`PrimitiveBlock`).
+#[derive(Debug)]
+pub(super) struct BlockView<'a> {
+    strings: Vec<&'a [u8]>,
+    pub(super) nodes: Vec<Node>,
+    pub(super) dense: Vec<DenseNodes<'a>>,
+    pub(super) ways: Vec<Way<'a>>,
+    pub(super) relations: Vec<Relation<'a>>,
+    unit: Unit,
+    /// Indices of the keys that make a node a building, of the few blocks that have one.
+    building_keys: Vec<u64>,
 }
 
-/// The value of a key, by way of parallel index lists.
-fn tag<'a>(block: &'a PrimitiveBlock, keys: &[u32], values: &[u32], key: &str) -> Option<&'a str> {
-    let matches = |&index: &u32| block.stringtable.s[index as usize].as_slice() == key.as_bytes();
-    let position = keys.iter().position(matches)?;
-    Some(string(block, values[position]))
+/// What an object's metadata tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Info {
+    /// -1 where the file keeps none.
+    pub(super) version: i32,
+    /// Whether the object exists, as far as the file says: deleted ones are kept in histories.
+    pub(super) is_visible: bool,
 }
 
-/// The value of a way's tag.
-pub(super) fn way_tag<'a>(block: &'a PrimitiveBlock, way: &Way, key: &str) -> Option<&'a str> {
-    tag(block, &way.keys, &way.vals, key)
+/// A single node.
+#[derive(Debug)]
+pub(super) struct Node {
+    id: i64,
+    place: [i32; 2],
+    is_visible: bool,
+    is_building: bool,
 }
 
-/// The value of a relation's tag.
-pub(super) fn relation_tag<'a>(
-    block: &'a PrimitiveBlock,
-    relation: &Relation,
-    key: &str,
-) -> Option<&'a str> {
-    tag(block, &relation.keys, &relation.vals, key)
+/// Many nodes, column by column.
+#[derive(Debug)]
+pub(super) struct DenseNodes<'a> {
+    ids: Varints<'a>,
+    latitudes: Varints<'a>,
+    longitudes: Varints<'a>,
+    /// Pairs of key and value, a zero after those of each node.
+    tags: Varints<'a>,
+    visible: Varints<'a>,
 }
 
-/// Node ids of a way, in order.
-pub(super) fn way_refs(way: &Way) -> Vec<i64> {
-    undelta(&way.refs).collect()
+/// A way.
+#[derive(Debug)]
+pub(super) struct Way<'a> {
+    pub(super) id: i64,
+    pub(super) info: Info,
+    tags: Tags<'a>,
+    refs: Varints<'a>,
+    /// Places of the nodes: the feature `LocationsOnWays`.
+    latitudes: Varints<'a>,
+    longitudes: Varints<'a>,
 }
 
-/// Places of a way's nodes in 10⁻⁷ degrees, where the file keeps them with the way
-/// (`LocationsOnWays`); `None` where it does not, or not for all.
-pub(super) fn way_places(block: &PrimitiveBlock, way: &Way) -> Option<Box<[[i32; 2]]>> {
-    let field = |wanted: u32| {
-        let mut fields = way.unknown_fields().iter();
-        fields.find_map(|(number, value)| match value {
-            UnknownValueRef::LengthDelimited(bytes) if number == wanted => packed(bytes),
-            _ => None,
-        })
-    };
-    let (latitudes, longitudes) = (field(WAY_LATITUDES)?, field(WAY_LONGITUDES)?);
-    let fits = latitudes.len() == way.refs.len() && longitudes.len() == way.refs.len();
-    let place = place_of(block);
-    let places = undelta(&longitudes).zip(undelta(&latitudes)).map(|(lon, lat)| place(lon, lat));
-    fits.then(|| places.collect())
-}
-
-/// Packed signed integers.
-fn packed(bytes: &[u8]) -> Option<Vec<i64>> {
-    let mut stream = CodedInputStream::from_bytes(bytes);
-    let mut values = Vec::new();
-    while !stream.eof().ok()? {
-        values.push(stream.read_sint64().ok()?);
-    }
-    Some(values)
+/// A relation.
+#[derive(Debug)]
+pub(super) struct Relation<'a> {
+    pub(super) id: i64,
+    pub(super) info: Info,
+    tags: Tags<'a>,
+    roles: Varints<'a>,
+    members: Varints<'a>,
+    kinds: Varints<'a>,
 }
 
 /// What a relation refers to.
@@ -119,94 +99,346 @@ pub(super) enum MemberId {
     Relation(i64),
 }
 
-/// Member ways and relations of a relation with their roles, in order.
-pub(super) fn members<'a>(
-    block: &'a PrimitiveBlock,
-    relation: &'a Relation,
-) -> impl Iterator<Item = (MemberId, &'a str)> {
-    undelta(&relation.memids).zip(&relation.types).zip(&relation.roles_sid).filter_map(
-        |((id, kind), &role)| {
-            let member = match kind.enum_value() {
-                Ok(MemberType::WAY) => MemberId::Way(id),
-                Ok(MemberType::RELATION) => MemberId::Relation(id),
-                _ => return None,
-            };
-            Some((member, string(block, role as u32)))
-        },
-    )
+/// Keys and values of an object, by their indices in the string table.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tags<'a> {
+    keys: Varints<'a>,
+    values: Varints<'a>,
 }
 
-/// Whether an object exists, as far as the file says: deleted ones are kept in histories.
-pub(super) fn is_visible(info: Option<&Info>) -> bool {
-    info.is_none_or(|info| !info.has_visible() || info.visible())
+/// How stored coordinates count.
+#[derive(Debug, Clone, Copy)]
+struct Unit {
+    granularity: i64,
+    lon_offset: i64,
+    lat_offset: i64,
 }
 
-/// The version of an object; -1 where the file keeps none.
-pub(super) fn version(info: Option<&Info>) -> i32 {
-    info.map_or(-1, Info::version)
-}
-
-/// All nodes of a block that exist: id, longitude and latitude in 10⁻⁷ degrees.
-pub(super) fn nodes(block: &PrimitiveBlock) -> impl Iterator<Item = (i64, [i32; 2])> {
-    let place = place_of(block);
-    block.primitivegroup.iter().flat_map(move |group| {
-        let exists = |node: &&Node| is_visible(node.info.as_ref());
-        let plain = group.nodes.iter().filter(exists);
-        let plain = plain.map(move |node| (node.id(), place(node.lon(), node.lat())));
-        let flags = &group.dense.denseinfo.visible;
-        let dense = undelta(&group.dense.id)
-            .zip(undelta(&group.dense.lon).zip(undelta(&group.dense.lat)))
-            .enumerate()
-            .filter(move |(index, _)| flags.get(*index).copied().unwrap_or(true))
-            .map(move |(_, (id, (lon, lat)))| (id, place(lon, lat)));
-        plain.chain(dense)
-    })
-}
-
-/// Stored coordinates to longitude and latitude in 10⁻⁷ degrees.
-fn place_of(block: &PrimitiveBlock) -> impl Fn(i64, i64) -> [i32; 2] + Copy + use<> {
-    let granularity = i64::from(block.granularity());
-    let (lon_offset, lat_offset) = (block.lon_offset(), block.lat_offset());
-    let unit = move |offset: i64, value: i64| {
-        let nanodegrees = offset.saturating_add(granularity.saturating_mul(value));
-        // Out of range is caught as "not projectable" later on.
-        (nanodegrees / NANODEGREES_PER_UNIT).clamp(i32::MIN.into(), i32::MAX.into()) as i32
-    };
-    move |lon: i64, lat: i64| [unit(lon_offset, lon), unit(lat_offset, lat)]
-}
-
-/// Ids of the nodes of a group that carry building tags. Most blocks do not even have the words.
-pub(super) fn building_nodes(block: &PrimitiveBlock, group: &PrimitiveGroup) -> Vec<i64> {
-    let strings = block.stringtable.s.iter().enumerate().skip(1);
-    let is_key = |text: &[u8]| text == BUILDING.as_bytes() || text == BUILDING_PART.as_bytes();
-    let keys: Vec<u32> =
-        strings.filter(|(_, text)| is_key(text)).map(|(index, _)| index as u32).collect();
-    if keys.is_empty() {
-        return Vec::new();
+impl Unit {
+    /// Longitude and latitude in 10⁻⁷ degrees.
+    fn place(self, lon: i64, lat: i64) -> [i32; 2] {
+        let unit = |offset: i64, value: i64| {
+            let nanodegrees = offset.saturating_add(self.granularity.saturating_mul(value));
+            // Out of range is caught as "not projectable" later on.
+            (nanodegrees / NANODEGREES_PER_UNIT).clamp(i32::MIN.into(), i32::MAX.into()) as i32
+        };
+        [unit(self.lon_offset, lon), unit(self.lat_offset, lat)]
     }
-    let plain = group.nodes.iter();
-    let plain = plain.filter(|node| node.keys.iter().any(|key| keys.contains(key)));
-    let mut found: Vec<i64> = plain.map(Node::id).collect();
-    // Tags of dense nodes: pairs of key and value, a zero after those of each node.
-    let mut ids = undelta(&group.dense.id);
-    let mut tags = group.dense.keys_vals.iter();
-    let (mut id, mut is_building) = (ids.next(), false);
-    while let (Some(node), Some(&key)) = (id, tags.next()) {
-        if key == 0 {
-            found.extend(is_building.then_some(node));
-            (id, is_building) = (ids.next(), false);
-        } else {
-            is_building |= u32::try_from(key).is_ok_and(|key| keys.contains(&key));
-            tags.next();
+}
+
+/// Takes a list that a message holds once.
+fn once<'a>(list: &mut Varints<'a>, value: WireValue<'a>) -> Result<(), Malformed> {
+    let is_first = list.is_empty();
+    *list = value.packed()?;
+    if is_first { Ok(()) } else { Err(Malformed) }
+}
+
+impl<'a> BlockView<'a> {
+    /// Finds the objects of a block, and checks all indices and lengths.
+    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, BlockError> {
+        let mut block = Self {
+            strings: Vec::new(),
+            nodes: Vec::new(),
+            dense: Vec::new(),
+            ways: Vec::new(),
+            relations: Vec::new(),
+            unit: Unit { granularity: 100, lon_offset: 0, lat_offset: 0 },
+            building_keys: Vec::new(),
+        };
+        let mut groups = Vec::new();
+        for field in Fields::of(bytes) {
+            match field? {
+                (1, table) => block.read_strings(table.bytes()?)?,
+                (2, group) => groups.push(group.bytes()?),
+                (17, granularity) => block.unit.granularity = granularity.int()?,
+                (19, offset) => block.unit.lat_offset = offset.int()?,
+                (20, offset) => block.unit.lon_offset = offset.int()?,
+                _ => {}
+            }
         }
+        // The table and the units may follow the groups.
+        for group in groups {
+            block.read_group(group)?;
+        }
+        Ok(block)
     }
-    found
+
+    fn read_strings(&mut self, table: &'a [u8]) -> Result<(), Malformed> {
+        for field in Fields::of(table) {
+            let (number, text) = field?;
+            if number == 1 {
+                let text = text.bytes()?;
+                let is_key = text == BUILDING.as_bytes() || text == BUILDING_PART.as_bytes();
+                // The first string is empty and stands for nothing.
+                if is_key && !self.strings.is_empty() {
+                    self.building_keys.push(self.strings.len() as u64);
+                }
+                self.strings.push(text);
+            }
+        }
+        Ok(())
+    }
+
+    fn read_group(&mut self, group: &'a [u8]) -> Result<(), BlockError> {
+        for field in Fields::of(group) {
+            match field? {
+                (1, node) => {
+                    let node = Node::read(node.bytes()?, self)?;
+                    self.nodes.push(node);
+                }
+                (2, nodes) => self.dense.push(DenseNodes::read(nodes.bytes()?)?),
+                (3, way) => {
+                    let way = Way::read(way.bytes()?)?;
+                    self.check_tags("way", way.id, way.tags)?;
+                    self.ways.push(way);
+                }
+                (4, relation) => {
+                    let relation = Relation::read(relation.bytes()?)?;
+                    self.check_tags("relation", relation.id, relation.tags)?;
+                    self.check_members(&relation)?;
+                    self.relations.push(relation);
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn check_tags(
+        &self,
+        what: &str,
+        id: i64,
+        Tags { keys, values }: Tags<'_>,
+    ) -> Result<(), BlockError> {
+        let strings = self.strings.len() as u64;
+        let inside = keys.varints().chain(values.varints()).all(|index| index < strings);
+        if keys.len() == values.len() && inside {
+            return Ok(());
+        }
+        Err(BlockError::Inconsistent(format!("tags of {what} {id} do not fit the string table")))
+    }
+
+    fn check_members(&self, relation: &Relation<'_>) -> Result<(), BlockError> {
+        let Relation { id, roles, members, kinds, .. } = relation;
+        let strings = self.strings.len() as u64;
+        let inside = roles.varints().all(|role| role < strings);
+        if members.len() == kinds.len() && members.len() == roles.len() && inside {
+            return Ok(());
+        }
+        Err(BlockError::Inconsistent(format!("members of relation {id} are damaged")))
+    }
+
+    pub(super) fn has_nodes(&self) -> bool {
+        !self.nodes.is_empty() || self.dense.iter().any(|dense| !dense.ids.is_empty())
+    }
+
+    /// The text at an index of the string table; text that is not UTF-8 matches no key or value.
+    fn string(&self, index: u64) -> &'a str {
+        std::str::from_utf8(self.strings[index as usize]).unwrap_or("\u{fffd}")
+    }
+
+    fn tag(&self, tags: Tags<'a>, key: &str) -> Option<&'a str> {
+        let is_key = |index: u64| self.strings[index as usize] == key.as_bytes();
+        let mut tags = tags.keys.varints().zip(tags.values.varints());
+        tags.find(|(index, _)| is_key(*index)).map(|(_, value)| self.string(value))
+    }
+
+    /// The value of a way's tag.
+    pub(super) fn way_tag(&self, way: &Way<'a>, key: &str) -> Option<&'a str> {
+        self.tag(way.tags, key)
+    }
+
+    /// The value of a relation's tag.
+    pub(super) fn relation_tag(&self, relation: &Relation<'a>, key: &str) -> Option<&'a str> {
+        self.tag(relation.tags, key)
+    }
+
+    /// Places of a way's nodes in 10⁻⁷ degrees, where the file keeps them with the way
+    /// (`LocationsOnWays`); `None` where it does not, or not for all.
+    pub(super) fn way_places(&self, way: &Way<'_>) -> Option<Box<[[i32; 2]]>> {
+        let nodes = way.refs.len();
+        let fits = way.latitudes.len() == nodes && way.longitudes.len() == nodes && nodes > 0;
+        let places = way.longitudes.undelta().zip(way.latitudes.undelta());
+        fits.then(|| places.map(|(lon, lat)| self.unit.place(lon, lat)).collect())
+    }
+
+    /// Member ways and relations of a relation with their roles, in order.
+    pub(super) fn members(
+        &self,
+        relation: &Relation<'a>,
+    ) -> impl Iterator<Item = (MemberId, &'a str)> {
+        let Relation { members, kinds, roles, .. } = *relation;
+        members.undelta().zip(kinds.varints()).zip(roles.varints()).filter_map(
+            |((id, kind), role)| {
+                let member = match kind {
+                    1 => MemberId::Way(id),
+                    2 => MemberId::Relation(id),
+                    _ => return None,
+                };
+                Some((member, self.string(role)))
+            },
+        )
+    }
+
+    /// All nodes of a block that exist: id, longitude and latitude in 10⁻⁷ degrees.
+    pub(super) fn places(&self) -> impl Iterator<Item = (i64, [i32; 2])> {
+        let plain = self.nodes.iter().filter(|node| node.is_visible);
+        let plain = plain.map(|node| (node.id, node.place));
+        plain.chain(self.dense.iter().flat_map(|dense| {
+            let mut visible = dense.visible.varints();
+            let places = dense.longitudes.undelta().zip(dense.latitudes.undelta());
+            let nodes = dense.ids.undelta().zip(places);
+            let nodes = nodes.filter(move |_| visible.next().is_none_or(|flag| flag != 0));
+            nodes.map(|(id, (lon, lat))| (id, self.unit.place(lon, lat)))
+        }))
+    }
+
+    /// Ids of the nodes that carry building tags. Most blocks do not even have the words.
+    pub(super) fn building_nodes(&self) -> Vec<i64> {
+        if self.building_keys.is_empty() {
+            return Vec::new();
+        }
+        let plain = self.nodes.iter().filter(|node| node.is_building);
+        let mut found: Vec<i64> = plain.map(|node| node.id).collect();
+        for dense in &self.dense {
+            let mut ids = dense.ids.undelta();
+            let mut tags = dense.tags.varints();
+            let (mut id, mut is_building) = (ids.next(), false);
+            while let (Some(node), Some(key)) = (id, tags.next()) {
+                if key == 0 {
+                    found.extend(is_building.then_some(node));
+                    (id, is_building) = (ids.next(), false);
+                } else {
+                    is_building |= self.building_keys.contains(&key);
+                    tags.next();
+                }
+            }
+        }
+        found
+    }
 }
 
-/// Undoes delta coding; sums of a hostile file wrap instead of panicking.
-fn undelta(deltas: &[i64]) -> impl Iterator<Item = i64> {
-    deltas.iter().scan(0_i64, |sum, &delta| {
-        *sum = sum.wrapping_add(delta);
-        Some(*sum)
-    })
+impl Node {
+    fn read(bytes: &[u8], block: &BlockView<'_>) -> Result<Self, Malformed> {
+        let (mut id, mut lat, mut lon) = (None, None, None);
+        let (mut keys, mut info) = (Varints::default(), Info::default());
+        for field in Fields::of(bytes) {
+            match field? {
+                (1, value) => id = Some(value.sint()?),
+                (2, list) => once(&mut keys, list)?,
+                (4, message) => info.merge(message.bytes()?)?,
+                (8, value) => lat = Some(value.sint()?),
+                (9, value) => lon = Some(value.sint()?),
+                _ => {}
+            }
+        }
+        let (Some(id), Some(lat), Some(lon)) = (id, lat, lon) else { return Err(Malformed) };
+        let is_building = keys.varints().any(|key| block.building_keys.contains(&key));
+        let place = block.unit.place(lon, lat);
+        Ok(Self { id, place, is_visible: info.is_visible, is_building })
+    }
+}
+
+impl<'a> DenseNodes<'a> {
+    fn read(bytes: &'a [u8]) -> Result<Self, BlockError> {
+        let [mut ids, mut latitudes, mut longitudes, mut tags, mut visible] =
+            [Varints::default(); 5];
+        for field in Fields::of(bytes) {
+            match field? {
+                (1, list) => once(&mut ids, list)?,
+                (5, info) => {
+                    for field in Fields::of(info.bytes()?) {
+                        if let (6, list) = field? {
+                            once(&mut visible, list)?;
+                        }
+                    }
+                }
+                (8, list) => once(&mut latitudes, list)?,
+                (9, list) => once(&mut longitudes, list)?,
+                (10, list) => once(&mut tags, list)?,
+                _ => {}
+            }
+        }
+        let nodes = ids.len();
+        let unlike = |what: &str| {
+            let text = format!("a dense group has more ids than {what}, or fewer");
+            Err(BlockError::Inconsistent(text))
+        };
+        if latitudes.len() != nodes || longitudes.len() != nodes {
+            return unlike("coordinates");
+        }
+        if !visible.is_empty() && visible.len() != nodes {
+            return unlike("flags");
+        }
+        Ok(Self { ids, latitudes, longitudes, tags, visible })
+    }
+}
+
+impl<'a> Way<'a> {
+    fn read(bytes: &'a [u8]) -> Result<Self, Malformed> {
+        let (mut id, mut info, mut tags) = (None, Info::default(), Tags::default());
+        let [mut refs, mut latitudes, mut longitudes] = [Varints::default(); 3];
+        for field in Fields::of(bytes) {
+            match field? {
+                (1, value) => id = Some(value.int()?),
+                (2, list) => once(&mut tags.keys, list)?,
+                (3, list) => once(&mut tags.values, list)?,
+                (4, message) => info.merge(message.bytes()?)?,
+                (8, list) => once(&mut refs, list)?,
+                (9, list) => once(&mut latitudes, list)?,
+                (10, list) => once(&mut longitudes, list)?,
+                _ => {}
+            }
+        }
+        let id = id.ok_or(Malformed)?;
+        Ok(Self { id, info, tags, refs, latitudes, longitudes })
+    }
+
+    /// Ids of its nodes, in order.
+    pub(super) fn refs(&self) -> Vec<i64> {
+        let mut refs = Vec::with_capacity(self.refs.len());
+        refs.extend(self.refs.undelta());
+        refs
+    }
+}
+
+impl<'a> Relation<'a> {
+    fn read(bytes: &'a [u8]) -> Result<Self, Malformed> {
+        let (mut id, mut info, mut tags) = (None, Info::default(), Tags::default());
+        let [mut roles, mut members, mut kinds] = [Varints::default(); 3];
+        for field in Fields::of(bytes) {
+            match field? {
+                (1, value) => id = Some(value.int()?),
+                (2, list) => once(&mut tags.keys, list)?,
+                (3, list) => once(&mut tags.values, list)?,
+                (4, message) => info.merge(message.bytes()?)?,
+                (8, list) => once(&mut roles, list)?,
+                (9, list) => once(&mut members, list)?,
+                (10, list) => once(&mut kinds, list)?,
+                _ => {}
+            }
+        }
+        let id = id.ok_or(Malformed)?;
+        Ok(Self { id, info, tags, roles, members, kinds })
+    }
+}
+
+impl Default for Info {
+    fn default() -> Self {
+        Self { version: -1, is_visible: true }
+    }
+}
+
+impl Info {
+    fn merge(&mut self, bytes: &[u8]) -> Result<(), Malformed> {
+        for field in Fields::of(bytes) {
+            match field? {
+                // An int32 is written as 64 bits.
+                (1, version) => self.version = version.int()? as i32,
+                (6, flag) => self.is_visible = flag.varint()? != 0,
+                _ => {}
+            }
+        }
+        Ok(())
+    }
 }

@@ -18,6 +18,8 @@ const MIN_FLATNESS: f64 = 1e-5;
 
 /// Crossings are searched for in pairs of segments: 50 million at the worst.
 const MAX_POINTS: usize = 10_000;
+/// Rings of so few points are searched for crossings pair by pair: sorting would take longer.
+const FEW_POINTS: usize = 32;
 /// The largest buildings are 1 to 3 km wide, in metres.
 const MAX_WIDTH_M: f64 = 10_000.0;
 
@@ -398,6 +400,13 @@ fn box_within(inner: Rect<f64>, outer: Rect<f64>) -> bool {
 /// Whether a ring crosses itself: two of its segments share a point inside of both.
 /// Touching and running back over itself are no crossings.
 fn crosses_itself(ring: &LineString<f64>) -> bool {
+    if ring.0.len() <= FEW_POINTS {
+        let mut segments = ring.0.windows(2).enumerate();
+        return segments.any(|(index, one)| {
+            let mut later = ring.0[index + 1..].windows(2);
+            later.any(|other| segments_cross(one[0], one[1], other[0], other[1]))
+        });
+    }
     let segments = sorted_segments(ring);
     segments.iter().enumerate().any(|(index, &[a, b])| {
         let reach = a.x.max(b.x);
@@ -429,7 +438,12 @@ fn sorted_segments(ring: &LineString<f64>) -> Vec<[Coord<f64>; 2]> {
 
 /// Whether the open segments ab and cd cross in one point; exact predicates.
 fn segments_cross(a: Coord<f64>, b: Coord<f64>, c: Coord<f64>, d: Coord<f64>) -> bool {
-    if a.y.max(b.y) < c.y.min(d.y) || c.y.max(d.y) < a.y.min(b.y) {
+    let apart = |a: f64, b: f64, c: f64, d: f64| a.max(b) < c.min(d) || c.max(d) < a.min(b);
+    if apart(a.x, b.x, c.x, d.x) || apart(a.y, b.y, c.y, d.y) {
+        return false;
+    }
+    // Of lines that meet at an end, nothing else can be common but a stretch of both.
+    if a == c || a == d || b == c || b == d {
         return false;
     }
     let opposite = |first: Orientation, second: Orientation| {

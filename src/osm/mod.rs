@@ -15,6 +15,7 @@ mod passes;
 mod pbf;
 mod rings;
 mod scan;
+mod wire;
 mod zone;
 
 pub use passes::{Extract, ExtractError, read_buildings};

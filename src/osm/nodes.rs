@@ -4,9 +4,9 @@
 
 use std::collections::HashMap;
 
-use osmpbfreader::osmformat::PrimitiveBlock;
+use rayon::prelude::*;
 
-use super::block;
+use super::block::BlockView;
 
 /// A place that no node has: latitudes end at 90°, far below 214°.
 const UNKNOWN: [i32; 2] = [i32::MAX, i32::MAX];
@@ -22,7 +22,7 @@ pub(super) struct NodeTable {
 impl NodeTable {
     /// A table of nodes whose places are yet unknown.
     pub(super) fn new(mut ids: Vec<i64>) -> Self {
-        ids.sort_unstable();
+        ids.par_sort_unstable();
         ids.dedup();
         ids.shrink_to_fit();
         let places = vec![UNKNOWN; ids.len()];
@@ -30,12 +30,12 @@ impl NodeTable {
     }
 
     /// The wanted nodes of a block, by their index in the table.
-    pub(super) fn find(&self, block: &PrimitiveBlock) -> Vec<(u32, [i32; 2])> {
+    pub(super) fn find(&self, block: &BlockView<'_>) -> Vec<(u32, [i32; 2])> {
         let mut found = Vec::new();
         // Extracts are sorted by id, so one walk through both lists finds everything; a step
         // back, which the format allows, costs a binary search.
         let (mut cursor, mut previous) = (usize::MAX, i64::MAX);
-        for (id, place) in block::nodes(block) {
+        for (id, place) in block.places() {
             if id < previous {
                 cursor = self.ids.partition_point(|&wanted| wanted < id);
             }

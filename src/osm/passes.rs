@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::PathBuf;
 
 use super::assemble::{MAX_DEPTH, Members, Projector};
-use super::block::{self, MemberId};
+use super::block::{MemberId, Way};
 use super::build::{Found, build};
 use super::copies::{MemberWay, whole_members, whole_relations, whole_ways};
 use super::footprint::Role;
@@ -230,15 +230,15 @@ fn read_relations(
         let mut next = HashSet::new();
         for Extracted { file, relation_blobs, .. } in extracts {
             let finds = file.map(relation_blobs, progress, |block| {
-                let relations = block.primitivegroup.iter().flat_map(|group| &group.relations);
-                let wanted = relations.filter(|relation| wanted.contains(&relation.id()));
+                let relations = block.relations.iter();
+                let wanted = relations.filter(|relation| wanted.contains(&relation.id));
                 let rings = wanted.map(|relation| {
-                    let members = block::members(block, relation);
+                    let members = block.members(relation);
                     let rings = members.filter_map(|(member, role)| match role {
                         "outline" => Some((member, Role::Outer)),
                         role => Some((member, Role::of(role)?)),
                     });
-                    (relation.id(), rings.collect::<Vec<_>>())
+                    (relation.id, rings.collect::<Vec<_>>())
                 });
                 rings.collect::<Vec<_>>()
             })?;
@@ -282,18 +282,17 @@ fn read_members(
     progress.begin("reading multipolygon members", Some(blobs));
     for Extracted { file, way_blobs, .. } in extracts {
         let finds = file.map(way_blobs, progress, |block| {
-            let ways = block.primitivegroup.iter().flat_map(|group| &group.ways);
-            let wanted = ways
-                .filter(|way| wanted.contains(&way.id()) && block::is_visible(way.info.as_ref()));
+            let wanted = |way: &&Way<'_>| way.info.is_visible && wanted.contains(&way.id);
+            let wanted = block.ways.iter().filter(wanted);
             let member = |way| {
-                let tag = |key: &str| block::way_tag(block, way, key);
+                let tag = |key: &str| block.way_tag(way, key);
                 let found = MemberWay {
-                    version: block::version(way.info.as_ref()),
-                    refs: block::way_refs(way),
-                    places: block::way_places(block, way),
+                    version: way.info.version,
+                    refs: way.refs(),
+                    places: block.way_places(way),
                     told: told_height(&tag, 0.0, config, &mut vec![]),
                 };
-                (way.id(), found)
+                (way.id, found)
             };
             wanted.map(member).collect::<Vec<_>>()
         })?;

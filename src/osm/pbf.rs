@@ -1,8 +1,8 @@
 //! Framing of a PBF file: which blobs it has and where (OSM wiki, "PBF Format").
 //!
-//! `osmpbfreader` supplies the protobuf types. Its own framing is not used: it panics on
-//! truncated files, takes a cut length field for the end, and decompresses without a
-//! limit, none of which suits files from strangers.
+//! `osmpbfreader` supplies the protobuf types of frames, and of blocks that no usual writer wrote. Its own
+//! framing is not used: it panics on truncated files, takes a cut length field for the end, and
+//! decompresses without a limit, none of which suits files from strangers.
 
 use std::fs::File;
 use std::io::Read;
@@ -14,6 +14,7 @@ use osmpbfreader::osmformat::{HeaderBlock, PrimitiveBlock};
 use protobuf::Message;
 use rayon::prelude::*;
 
+use super::block::{BlockError, BlockView};
 use crate::building::ObjectId;
 use crate::error::{Fault, FileError, HasFault};
 use crate::progress::Progress;
@@ -195,25 +196,33 @@ impl PbfFile {
         &self,
         chosen: &[usize],
         progress: &dyn Progress,
-        work: impl Fn(&PrimitiveBlock) -> T + Sync,
+        work: impl Fn(&BlockView<'_>) -> T + Sync,
     ) -> Result<Vec<T>, PbfError> {
         chosen
             .par_iter()
             .map(|&index| {
-                let block = self.decode(index)?;
+                let result = self.decode(index, &work)?;
                 progress.advance(1);
-                Ok(work(&block))
+                Ok(result)
             })
             .collect()
     }
 
-    fn decode(&self, index: usize) -> Result<PrimitiveBlock, PbfError> {
+    fn decode<T>(&self, index: usize, work: impl Fn(&BlockView<'_>) -> T) -> Result<T, PbfError> {
         let corrupt = |reason: String| self.corrupt(index + 1, self.blobs[index].offset, reason);
         let bytes = self.unpack(index + 1, self.blobs[index])?;
-        let block =
-            PrimitiveBlock::parse_from_bytes(&bytes).map_err(|error| corrupt(error.to_string()))?;
-        super::block::check(&block).map_err(corrupt)?;
-        Ok(block)
+        match BlockView::read(&bytes) {
+            Ok(block) => Ok(work(&block)),
+            Err(BlockError::Inconsistent(reason)) => Err(corrupt(reason)),
+            Err(BlockError::Malformed) => {
+                let rewritten = PrimitiveBlock::parse_from_bytes(&bytes)
+                    .and_then(|block| block.write_to_bytes())
+                    .map_err(|error| corrupt(error.to_string()))?;
+                let block =
+                    BlockView::read(&rewritten).map_err(|error| corrupt(error.to_string()))?;
+                Ok(work(&block))
+            }
+        }
     }
 
     /// The type of the blob at a position and where its content lies.

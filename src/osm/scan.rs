@@ -1,8 +1,6 @@
 //! First pass: what a block holds of buildings, by its tags.
 
-use osmpbfreader::osmformat::{PrimitiveBlock, PrimitiveGroup, Relation, Way};
-
-use super::block::{self, MemberId};
+use super::block::{BlockView, MemberId, Relation, Way};
 use super::footprint::Role;
 use crate::building::{Attributes, Classified, Defect, ObjectId, Problem, classify};
 use crate::config::BuildingsConfig;
@@ -54,49 +52,47 @@ pub(super) struct Finds {
 }
 
 /// Looks through a block.
-pub(super) fn find_buildings(block: &PrimitiveBlock, config: &BuildingsConfig) -> Finds {
-    let mut finds = Finds::default();
-    for group in &block.primitivegroup {
-        finds.has_nodes |= !group.nodes.is_empty() || !group.dense.id.is_empty();
-        finds.has_ways |= !group.ways.is_empty();
-        finds.has_relations |= !group.relations.is_empty();
-        let of_nodes = block::building_nodes(block, group).into_iter().map(ObjectId::Node);
-        finds.problems.extend(of_nodes.map(|object| Problem::new(object, Defect::Node)));
-        finds.order.take(group);
-        let exists = |way: &&Way| block::is_visible(way.info.as_ref());
-        for way in group.ways.iter().filter(exists) {
-            finds.take_way(block, way, config);
-        }
-        let exists = |relation: &&Relation| block::is_visible(relation.info.as_ref());
-        for relation in group.relations.iter().filter(exists) {
-            finds.take_relation(block, relation, config);
-        }
+pub(super) fn find_buildings(block: &BlockView<'_>, config: &BuildingsConfig) -> Finds {
+    let mut finds = Finds {
+        has_nodes: block.has_nodes(),
+        has_ways: !block.ways.is_empty(),
+        has_relations: !block.relations.is_empty(),
+        order: FileOrder::of(block),
+        ..Finds::default()
+    };
+    let of_nodes = block.building_nodes().into_iter().map(ObjectId::Node);
+    finds.problems.extend(of_nodes.map(|object| Problem::new(object, Defect::Node)));
+    for way in block.ways.iter().filter(|way| way.info.is_visible) {
+        finds.take_way(block, way, config);
+    }
+    for relation in block.relations.iter().filter(|relation| relation.info.is_visible) {
+        finds.take_relation(block, relation, config);
     }
     finds
 }
 
 impl Finds {
-    fn take_way(&mut self, block: &PrimitiveBlock, way: &Way, config: &BuildingsConfig) {
-        let classified = classify(|key| block::way_tag(block, way, key), config);
-        if let Some(attributes) = self.note(ObjectId::Way(way.id()), classified) {
+    fn take_way<'a>(&mut self, block: &BlockView<'a>, way: &Way<'a>, config: &BuildingsConfig) {
+        let classified = classify(|key| block.way_tag(way, key), config);
+        if let Some(attributes) = self.note(ObjectId::Way(way.id), classified) {
             self.ways.push(RawWay {
-                id: way.id(),
-                version: block::version(way.info.as_ref()),
-                refs: block::way_refs(way),
-                places: block::way_places(block, way),
+                id: way.id,
+                version: way.info.version,
+                refs: way.refs(),
+                places: block.way_places(way),
                 attributes,
             });
         }
     }
 
-    fn take_relation(
+    fn take_relation<'a>(
         &mut self,
-        block: &PrimitiveBlock,
-        relation: &Relation,
+        block: &BlockView<'a>,
+        relation: &Relation<'a>,
         config: &BuildingsConfig,
     ) {
-        let tag = |key: &str| block::relation_tag(block, relation, key);
-        let object = ObjectId::Relation(relation.id());
+        let tag = |key: &str| block.relation_tag(relation, key);
+        let object = ObjectId::Relation(relation.id);
         let classified = classify(tag, config);
         let kind = match tag("type") {
             Some("multipolygon") if classified != Classified::Unrelated => {
@@ -118,7 +114,7 @@ impl Finds {
             return;
         }
         let (mut members, mut parts, mut foreign) = (Vec::new(), Vec::new(), false);
-        for (member, role) in block::members(block, relation) {
+        for (member, role) in block.members(relation) {
             match (kind, role, Role::of(role)) {
                 (RelationKind::Building, "outline", _) => members.push((member, Role::Outer)),
                 (RelationKind::Building, "part", _) => parts.push(member),
@@ -131,8 +127,8 @@ impl Finds {
         if foreign {
             self.problems.push(Problem::new(object, Defect::ForeignRole));
         }
-        let version = block::version(relation.info.as_ref());
-        let id = relation.id();
+        let Relation { id, info, .. } = *relation;
+        let version = info.version;
         self.relations.push(RawRelation { id, version, kind, attributes, members, parts });
     }
 
@@ -161,14 +157,15 @@ pub(super) struct FileOrder {
 }
 
 impl FileOrder {
-    fn take(&mut self, group: &PrimitiveGroup) {
-        for way in &group.ways {
-            self.next(ObjectId::Way(way.id()), block::version(way.info.as_ref()));
+    fn of(block: &BlockView<'_>) -> Self {
+        let mut order = Self::default();
+        for way in &block.ways {
+            order.next(ObjectId::Way(way.id), way.info.version);
         }
-        for relation in &group.relations {
-            let version = block::version(relation.info.as_ref());
-            self.next(ObjectId::Relation(relation.id()), version);
+        for relation in &block.relations {
+            order.next(ObjectId::Relation(relation.id), relation.info.version);
         }
+        order
     }
 
     fn next(&mut self, object: ObjectId, version: i32) {

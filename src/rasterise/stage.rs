@@ -132,7 +132,7 @@ pub fn rasterise(
     // The tiles of a task lie apart, and share little.
     let is_whole = job.mode.part == Part::Whole;
     let blocks = is_whole.then(|| Blocks::new(&city, grid, &candidates)).flatten();
-    let packer = Packer::new(grid.side_cells());
+    let packer = Packer::new(grid);
     let tile = |id: &TileId, item: Item<'_>| {
         let how = Painting { source: &source, blocks: blocks.as_ref(), packer: &packer };
         build_tile(*id, how, &config, item)
@@ -210,7 +210,7 @@ fn select(
 struct Painting<'a> {
     source: &'a TileSource<'a>,
     blocks: Option<&'a Blocks<'a>>,
-    packer: &'a Packer,
+    packer: &'a Packer<'a>,
 }
 
 fn build_tile(
@@ -236,7 +236,7 @@ fn build_tile(
     };
     if let Some(blocks) = blocks {
         let tile = blocks.tile(id);
-        finish(tile.statistics(), &|meta| packer.blocks(&tile, meta))
+        finish(tile.statistics(source.city), &|meta| packer.blocks(&tile, meta))
     } else {
         let tile = source.rasterise(id);
         finish(tile.statistics, &|meta| packer.grid(&tile, meta))

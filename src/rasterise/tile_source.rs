@@ -10,7 +10,7 @@ use crate::grid::TileId;
 
 /// Makes tiles of a city.
 pub struct TileSource<'a> {
-    city: &'a City,
+    pub(super) city: &'a City,
     grid: &'a GridConfig,
     utm: Utm,
 }
@@ -27,15 +27,22 @@ impl<'a> TileSource<'a> {
     pub fn candidates(&self) -> BTreeSet<TileId> {
         let half = f64::from(self.grid.side_m) / 2.0;
         let spacing = i64::from(self.grid.spacing_m);
-        let mut tiles = BTreeSet::new();
+        let (mut tiles, mut last) = (BTreeSet::new(), None);
         for bounds in self.city.boxes() {
             let range = |low: f64, high: f64| {
                 let first = ((low - half) / spacing as f64).ceil() as i64;
                 let last = ((high + half) / spacing as f64).floor() as i64;
                 first..=last
             };
-            for column in range(bounds.min().x, bounds.max().x) {
-                for row in range(bounds.min().y, bounds.max().y) {
+            let met =
+                [range(bounds.min().x, bounds.max().x), range(bounds.min().y, bounds.max().y)];
+            // Neighbours mostly follow each other.
+            if last.as_ref() == Some(&met) {
+                continue;
+            }
+            let [columns, rows] = last.insert(met);
+            for column in columns.clone() {
+                for row in rows.clone() {
                     let (easting, northing) = (column * spacing, row * spacing);
                     tiles.insert(TileId { utm: self.utm, easting, northing });
                 }

@@ -99,17 +99,17 @@ impl ImportContext<'_> {
     }
 
     /// What is at least as high as the flight height in a tile's central window.
-    fn occupied(&self, tile: &TileFile) -> Array2<bool> {
+    fn occupied(&self, height_m: &Array2<f32>) -> Array2<bool> {
         let (start, length) = (self.grid().crop_offset_cells(), self.grid().crop_cells());
         let crop = start..start + length;
         let flight_height = self.manifest.config.buildings.flight_height_m;
-        let heights = tile.height_m.slice(s![crop.clone(), crop]);
+        let heights = height_m.slice(s![crop.clone(), crop]);
         heights.mapv(|height| f64::from(height) >= flight_height)
     }
 
-    fn occupancy(&self, tile: &TileFile, geometry: &Geometry) -> Occupancy {
+    fn occupancy(&self, height_m: &Array2<f32>, geometry: &Geometry) -> Occupancy {
         let ratio = geometry.cell_m / self.grid().cell_m;
-        Occupancy::new(&self.occupied(tile), geometry.cells, ratio)
+        Occupancy::new(&self.occupied(height_m), geometry.cells, ratio)
     }
 
     /// The buildings of the tiles around one.
@@ -126,8 +126,8 @@ impl ImportContext<'_> {
         };
         let near = self.by_id.iter().filter(|(id, _)| is_near(id));
         near.map(|(id, entry)| {
-            let other = TileFile::read(self.tiles, entry)?;
-            Ok((*id, self.occupancy(&other, geometry)))
+            let heights = TileFile::read_heights(self.tiles, entry)?;
+            Ok((*id, self.occupancy(&heights, geometry)))
         })
         .collect()
     }
@@ -146,7 +146,7 @@ pub(super) fn examine(
     // 4
     let geometry = check::geometry(&map, metadata, entry.id, grid, context.record_cell_m)?;
     let tile = TileFile::read(context.tiles, entry)?;
-    let occupancy = context.occupancy(&tile, &geometry);
+    let occupancy = context.occupancy(&tile.height_m, &geometry);
     let window = MapWindow::cut(&map, metadata, &geometry);
     let position = map.tx_position_m;
     let free_space = FreeSpace::new(metadata, position, geometry.cell_m, geometry.cells);

@@ -12,7 +12,7 @@
 //!
 //! Where refraction fills the buildings, the loss over free space in dB takes the place of "no path".
 
-use ndarray::{Array2, ArrayView2, Zip, s};
+use ndarray::{Array2, ArrayView1, ArrayView2, Zip, s};
 
 use super::check::rounded;
 use super::metadata::{RadioMapMetadata, RowOrder};
@@ -67,7 +67,7 @@ impl Flip {
         })
     }
 
-    fn of(self, grid: ArrayView2<'_, f64>) -> ArrayView2<'_, f64> {
+    fn of<T>(self, grid: ArrayView2<'_, T>) -> ArrayView2<'_, T> {
         let mut view = if self.transposed { grid.reversed_axes() } else { grid };
         if self.rows {
             view.invert_axis(ndarray::Axis(0));
@@ -100,14 +100,37 @@ struct AgreementSums {
 }
 
 impl AgreementSums {
-    /// `darkness` has NaN where there is nothing to compare.
-    fn new(
+    /// Of cells that are dark or not. Row by row, so that the compiler counts many cells at once: this runs 57
+    /// times for each cell of a map.
+    fn of_shadows(
+        dark: ArrayView2<'_, bool>,
+        building: ArrayView2<'_, bool>,
+        outdoor: ArrayView2<'_, bool>,
+    ) -> Self {
+        let dark = dark.as_standard_layout();
+        let (mut count_b, mut count_o, mut sum_b, mut sum_o) = (0_u32, 0_u32, 0_u32, 0_u32);
+        for ((dark, building), outdoor) in
+            dark.rows().into_iter().zip(building.rows()).zip(outdoor.rows())
+        {
+            let cells = contiguous(dark).iter().zip(contiguous(building)).zip(contiguous(outdoor));
+            for ((&dark, &building), &outdoor) in cells {
+                count_b += u32::from(building);
+                count_o += u32::from(outdoor);
+                sum_b += u32::from(dark & building);
+                sum_o += u32::from(dark & outdoor);
+            }
+        }
+        let [count_b, count_o, sum_b, sum_o] = [count_b, count_o, sum_b, sum_o].map(f64::from);
+        Self { count: [count_b, count_o], sum: [sum_b, sum_o], squares: sum_b + sum_o }
+    }
+
+    /// Of how dark cells are; NaN where there is nothing to compare.
+    fn of_levels(
         darkness: ArrayView2<'_, f64>,
         base: ArrayView2<'_, f64>,
         building: ArrayView2<'_, bool>,
         outdoor: ArrayView2<'_, bool>,
     ) -> Self {
-        // Without branches or arrays: this runs 57 times for each cell of a map.
         let (mut count_b, mut count_o, mut sum_b, mut sum_o, mut squares) =
             (0.0, 0.0, 0.0, 0.0, 0.0);
         let cells = Zip::from(darkness).and(base).and(building).and(outdoor);
@@ -152,15 +175,22 @@ impl AgreementSums {
     }
 }
 
+/// What is high where nothing arrives.
+enum Darkness {
+    /// Whether a cell is without path: 1 or 0.
+    NoPath(Array2<bool>),
+    /// Where paths go through walls, the negative level in dB; and what is added to it wherever the map lies, the
+    /// level of free space, so that the distance to the transmitter does not count.
+    Level { darkness: Array2<f64>, free_space: Array2<f64> },
+}
+
+fn contiguous(row: ArrayView1<'_, bool>) -> &[bool] {
+    row.to_slice().expect("rows are contiguous")
+}
+
 /// How a map lies on the buildings of a tile.
 pub(super) struct Orientation {
-    /// What is high where nothing arrives: 1 without path and 0 with one; or, where paths go
-    /// through walls, the negative level in dB.
-    darkness: Array2<f64>,
-    /// What is added to it wherever the map lies: the level of free space, so that the distance to
-    /// the transmitter does not count; else 0.
-    base: Array2<f64>,
-    evidence: Evidence,
+    darkness: Darkness,
     row_order: RowOrder,
     refraction: bool,
 }
@@ -187,32 +217,53 @@ impl Orientation {
         let unreached = window.reached.len() as f64 - count(&window.reached);
         // Counted over all cells, however they lie.
         if !refraction || unreached >= MOST_FILLED * count(&occupancy.building) {
-            let darkness = window.reached.mapv(|reached| f64::from(u8::from(!reached)));
-            let base = Array2::zeros(darkness.raw_dim());
-            Self { darkness, base, evidence: Evidence::NoPath, row_order, refraction }
+            let darkness = Darkness::NoPath(window.reached.mapv(|reached| !reached));
+            Self { darkness, row_order, refraction }
         } else {
             let darkness = Zip::from(&window.values)
                 .and(&window.reached)
                 .map_collect(|&value, &reached| if reached { -level(value) } else { f64::NAN });
-            let base = Array2::from_shape_fn(darkness.raw_dim(), free_space);
-            Self { darkness, base, evidence: Evidence::Level, row_order, refraction }
+            let free_space = Array2::from_shape_fn(darkness.raw_dim(), free_space);
+            Self { darkness: Darkness::Level { darkness, free_space }, row_order, refraction }
+        }
+    }
+
+    fn evidence(&self) -> Evidence {
+        match self.darkness {
+            Darkness::NoPath(_) => Evidence::NoPath,
+            Darkness::Level { .. } => Evidence::Level,
         }
     }
 
     fn sums(&self, occupancy: &Occupancy, flip: Flip) -> AgreementSums {
-        let Occupancy { building, outdoor } = occupancy;
-        let (darkness, base) = (flip.of(self.darkness.view()), self.base.view());
-        AgreementSums::new(darkness, base, building.view(), outdoor.view())
+        let [building, outdoor] = [occupancy.building.view(), occupancy.outdoor.view()];
+        match &self.darkness {
+            Darkness::NoPath(dark) => {
+                AgreementSums::of_shadows(flip.of(dark.view()), building, outdoor)
+            }
+            Darkness::Level { darkness, free_space } => {
+                let darkness = flip.of(darkness.view());
+                AgreementSums::of_levels(darkness, free_space.view(), building, outdoor)
+            }
+        }
     }
 
     /// With the map moved by rows and columns, on the cells that all shifts have in common.
     fn shifted(&self, occupancy: &Occupancy, [rows, columns]: [usize; 2]) -> AgreementSums {
-        let inner = self.darkness.nrows() - 2 * REACH;
-        let moved = self.darkness.slice(s![rows..rows + inner, columns..columns + inner]);
+        let inner = occupancy.building.nrows() - 2 * REACH;
+        let moved = s![rows..rows + inner, columns..columns + inner];
         let common = s![REACH..REACH + inner, REACH..REACH + inner];
-        let Occupancy { building, outdoor } = occupancy;
-        let base = self.base.slice(common);
-        AgreementSums::new(moved, base, building.slice(common), outdoor.slice(common))
+        let [building, outdoor] =
+            [occupancy.building.slice(common), occupancy.outdoor.slice(common)];
+        match &self.darkness {
+            Darkness::NoPath(dark) => {
+                AgreementSums::of_shadows(dark.slice(moved), building, outdoor)
+            }
+            Darkness::Level { darkness, free_space } => {
+                let free_space = free_space.slice(common);
+                AgreementSums::of_levels(darkness.slice(moved), free_space, building, outdoor)
+            }
+        }
     }
 
     /// Rejects a map that lies another way than declared. `elsewhere` gives the buildings of
@@ -227,13 +278,13 @@ impl Orientation {
         let (flip, flipped) = best(flips);
         let lead = declared.correlation() - flipped.correlation();
         let score = OrientationScore {
-            evidence: self.evidence,
+            evidence: self.evidence(),
             correlation: rounded(declared.correlation(), DECIMALS),
             agreement: self.agreement(&declared).map(|share| rounded(share, DECIMALS)),
             lead: rounded(lead, DECIMALS),
         };
         let [_, unreached] = declared.means();
-        let hidden = self.evidence == Evidence::NoPath && unreached > MOST_UNREACHED;
+        let hidden = self.evidence() == Evidence::NoPath && unreached > MOST_UNREACHED;
         if !declared.is_enough() || hidden {
             let text = "too few cells are reached, or too few built, to tell its orientation";
             let warning = MapWarning::new(WarningCode::OrientationUntold, text);
@@ -248,7 +299,7 @@ impl Orientation {
         if self.explains(&flipped, &declared, MARGIN_FLIP) {
             mistakes.push((flipped.correlation(), self.wrong_orientation(&score, flip, &flipped)));
         }
-        if self.darkness.nrows() > 2 * REACH + LEAST_CELLS {
+        if occupancy.building.nrows() > 2 * REACH + LEAST_CELLS {
             let span = 0..=2 * REACH;
             let all =
                 span.clone().flat_map(|rows| span.clone().map(move |columns| [rows, columns]));
@@ -287,7 +338,7 @@ impl Orientation {
 
     /// Only where darkness is 0 or 1.
     fn agreement(&self, sums: &AgreementSums) -> Option<f64> {
-        (self.evidence == Evidence::NoPath).then(|| sums.agreement())
+        (self.evidence() == Evidence::NoPath).then(|| sums.agreement())
     }
 
     /// Whether a map that lies in another way fits, and better than as declared.

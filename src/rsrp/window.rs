@@ -1,6 +1,6 @@
 //! The central window of a map, north up, and what stands on it.
 
-use ndarray::{Array2, ArrayView2, Axis, s};
+use ndarray::{Array2, ArrayView2, Axis, Zip, s};
 
 use super::check::{Geometry, no_path};
 use super::map::{LoadedMap, Relative};
@@ -62,17 +62,22 @@ impl Occupancy {
     /// height; `ratio` is the side of a map's cell in cells of the grid, a whole number or one
     /// over a whole number.
     pub(super) fn new(occupied: &Array2<bool>, cells: usize, ratio: f64) -> Self {
-        let range = |index: usize| {
-            let start = (index as f64 * ratio).round().max(0.0);
-            // Cells finer than the grid's lie in one cell of it.
-            let start = if ratio < 1.0 { ((index as f64 + 0.5) * ratio).floor() } else { start };
-            start as usize..start as usize + (ratio.round() as usize).max(1)
-        };
-        let built = Array2::from_shape_fn((cells, cells), |(row, column)| {
-            let cell = occupied.slice(s![range(row), range(column)]);
+        let of_cell = |cell: ArrayView2<'_, bool>| {
             let count = cell.iter().filter(|&&occupied| occupied).count();
             (count > 0, count == cell.len())
-        });
+        };
+        let built = if ratio < 1.0 {
+            // Cells finer than the grid's lie in one cell of it.
+            let at = |index: usize| ((index as f64 + 0.5) * ratio).floor() as usize;
+            let cell = |(row, column)| {
+                of_cell(occupied.slice(s![at(row)..=at(row), at(column)..=at(column)]))
+            };
+            Array2::from_shape_fn((cells, cells), cell)
+        } else {
+            let side = ratio.round() as usize;
+            let covered = occupied.slice(s![..cells * side, ..cells * side]);
+            Zip::from(covered.exact_chunks((side, side))).map_collect(of_cell)
+        };
         Self { building: built.mapv(|(_, all)| all), outdoor: built.mapv(|(any, _)| !any) }
     }
 }

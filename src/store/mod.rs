@@ -27,7 +27,7 @@ mod zip;
 #[cfg(feature = "build")]
 pub use atomic::{write_atomic, write_atomic_with};
 #[cfg(feature = "build")]
-pub(crate) use deflate::{RowDeflater, Segment, deflate_small};
+pub(crate) use deflate::{ArrayFormat, Deflater, Segment, Strip, StripWriter, deflate_small};
 #[cfg(feature = "remote")]
 use hash::sha256_reader;
 pub use hash::{Digest, sha256_bytes, sha256_file};

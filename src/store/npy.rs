@@ -213,12 +213,12 @@ impl Npy<'_> {
     pub fn values_f64(&self) -> Vec<f64> {
         match self.dtype {
             #[cfg(feature = "build")]
-            DType::Float16 => self.decode::<f16>().map(f64::from).collect(),
-            DType::Float32 => self.decode::<f32>().map(f64::from).collect(),
-            DType::Float64 => self.decode::<f64>().collect(),
-            DType::UInt8 => self.decode::<u8>().map(f64::from).collect(),
-            DType::Int16 => self.decode::<i16>().map(f64::from).collect(),
-            DType::UInt16 => self.decode::<u16>().map(f64::from).collect(),
+            DType::Float16 => self.decode::<f16, f64>(f64::from),
+            DType::Float32 => self.decode::<f32, f64>(f64::from),
+            DType::Float64 => self.decode::<f64, f64>(|value| value),
+            DType::UInt8 => self.decode::<u8, f64>(f64::from),
+            DType::Int16 => self.decode::<i16, f64>(f64::from),
+            DType::UInt16 => self.decode::<u16, f64>(f64::from),
             DType::Bytes(_) | DType::Unicode(_) => Vec::new(),
         }
     }
@@ -278,15 +278,21 @@ impl Npy<'_> {
         match self.shape[..] {
             [rows, columns] if self.dtype == T::DTYPE => {
                 let shape = (rows, columns).set_f(self.fortran_order);
-                let array = Array2::from_shape_vec(shape, self.decode().collect());
+                let array = Array2::from_shape_vec(shape, self.decode(|value: T| value));
                 Ok(array.expect("the length was checked against the shape"))
             }
             _ => Err(unexpected()),
         }
     }
 
-    fn decode<T: Element>(&self) -> impl Iterator<Item = T> {
-        self.data.chunks_exact(T::DTYPE.size()).map(|bytes| T::decode(bytes, self.big_endian))
+    /// One loop for each order of bytes: for the machine's own the compiler makes a copy of it.
+    fn decode<T: Element, U>(&self, of: impl Fn(T) -> U) -> Vec<U> {
+        let elements = self.data.chunks_exact(T::DTYPE.size());
+        if self.big_endian {
+            elements.map(|bytes| of(T::decode(bytes, true))).collect()
+        } else {
+            elements.map(|bytes| of(T::decode(bytes, false))).collect()
+        }
     }
 }
 

@@ -67,17 +67,21 @@ mod tests {
     use ndarray::Array2;
 
     use super::*;
-    use crate::store::deflate::{RowDeflater, Segment, deflate_small};
+    use crate::store::deflate::{ArrayFormat, Deflater, Segment, StripWriter, deflate_small};
     use crate::store::{NpzReader, npy_bytes, read_npy};
 
     #[test]
     fn archives_are_read_back_by_the_strict_reader() {
         let grid = npy_bytes(&Array2::<f32>::zeros((50, 70)));
         let text = npy_bytes(&ndarray::Array1::from_vec(b"{}".to_vec()));
-        let mut rows = RowDeflater::new(&grid[..128], 70, 4);
-        (0..50).for_each(|_| rows.row(&[Segment { end: 70, value: [0; 4] }]));
-        let bytes =
-            npz_of_deflated(&[("height_m", rows.finish()), ("meta_json", deflate_small(&text))]);
+        let format = ArrayFormat::new(grid[..128].to_vec(), 4, 70, &[70]);
+        let mut strip = StripWriter::new(&format, 70);
+        (0..50).for_each(|_| strip.row(&[Segment { end: 70, value: [0; 4] }]));
+        let strip = strip.finish();
+        let mut heights = Deflater::new(&format);
+        (0..50).for_each(|row| heights.add(&strip, row));
+        let members = [("height_m", heights.finish()), ("meta_json", deflate_small(&text))];
+        let bytes = npz_of_deflated(&members);
         let mut archive = NpzReader::new(Cursor::new(&bytes), 1 << 20).expect("an archive");
         assert_eq!(archive.names(), ["height_m", "meta_json"]);
         assert_eq!(archive.member("height_m").expect("sound"), grid);

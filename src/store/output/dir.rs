@@ -15,6 +15,7 @@ use super::journal::{self, Done, Journal, Line, Noted, Plan, lock, write_line};
 use super::part::{BuildMode, Part, Task, TaskReport};
 use super::presence;
 use super::removal::{directories, remove_finished, remove_inside, remove_leftovers};
+use super::syncer::Syncer;
 use crate::error::FileError;
 use crate::progress::Progress;
 use crate::store::atomic::{remove_if_there, sync_file, write_unsynced};
@@ -38,6 +39,7 @@ pub(super) struct OutputDir {
     /// Items that this run answers for, and what is noted of those that are done.
     items: Mutex<BTreeMap<String, String>>,
     files: Mutex<BTreeMap<String, Digest>>,
+    syncer: Syncer,
 }
 
 impl OutputDir {
@@ -92,6 +94,7 @@ impl OutputDir {
             planned: 0,
             items: Mutex::default(),
             files: Mutex::default(),
+            syncer: Syncer::start(),
         };
         let begun = match mode.part {
             Part::Whole => output.begin_whole(plan, mode),
@@ -344,6 +347,7 @@ impl OutputDir {
             std::fs::create_dir_all(parent).map_err(FileError::new("create", parent))?;
         }
         write_unsynced(&path, bytes)?;
+        self.syncer.take(path);
         self.remember(name, digest);
         Ok(())
     }
@@ -357,6 +361,7 @@ impl OutputDir {
         let Part::Task(task) = self.part else {
             return Ok(None);
         };
+        self.syncer.end()?;
         sync_all(&self.root, &self.files.lock().expect(UNPOISONED))?;
         let items = self.items.lock().expect(UNPOISONED);
         self.with_journal(|journal| {
@@ -378,6 +383,7 @@ impl OutputDir {
         let lines = files.iter().map(|(name, digest)| [&digest.sha256, "  ", name, "\n"].concat());
         let sums: String = lines.collect();
         remove_leftovers(&self.root, &files)?;
+        self.syncer.end()?;
         sync_all(&self.root, &files)?;
         write_atomic(&self.root.join(SUMS), sums.as_bytes())?;
         write_atomic(&self.root.join(MANIFEST), manifest)?;

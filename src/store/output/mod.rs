@@ -23,6 +23,7 @@ mod journal;
 mod part;
 mod presence;
 mod removal;
+mod syncer;
 
 pub use build::Built;
 pub(crate) use build::{Build, Finished, Item, Items, Opened, Output, Parallel};
