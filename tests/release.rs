@@ -10,6 +10,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use holescout::dataset::Dataset;
+use holescout::grid::TileId;
 use serde_json::{Value, json};
 
 use pipeline::{
@@ -82,6 +86,7 @@ fn a_release_is_a_sound_dataset_with_the_same_shards() {
         "SHA256SUMS",
         "config.toml",
         "croissant.json",
+        "index.html",
         "inputs.sha256",
         "manifest.json",
         "record.v1.json",
@@ -110,6 +115,65 @@ fn a_release_is_a_sound_dataset_with_the_same_shards() {
     assert_eq!(croissant.get("datePublished"), None, "no date was given");
     let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/record.v1.json");
     assert!(files["record.v1.json"] == read(&schema));
+}
+
+/// The data of a release's page.
+fn page_data(release: &Path) -> Value {
+    let page = String::from_utf8(read(&release.join("index.html"))).expect("text");
+    assert!(page.len() < 4_000_000, "{} bytes", page.len());
+    let (_, data) = page.split_once(r#"<script type="application/json" id="data">"#).expect("data");
+    let (data, _) = data.split_once("</script>").expect("its end");
+    serde_json::from_str(data).expect("JSON")
+}
+
+#[test]
+fn the_page_shows_what_the_records_hold() {
+    let data = page_data(&RELEASE);
+    let detail = &data["detail"];
+    let step = |name: &str| detail[name].as_f64().expect("a number");
+    assert_eq!(detail["planes"], json!(["heights", "levels"]), "maps of one trace have no errors");
+    let dataset = Dataset::open(&RELEASE).expect("a dataset");
+    let records = data["records"].as_array().expect("a list");
+    assert_eq!(records.len(), dataset.ids().len());
+    for shown in records {
+        let id: TileId = shown["id"].as_str().expect("a name").parse().expect("an id");
+        let (record, grids) = dataset.record_with_grids(id).expect("a record");
+        assert_eq!(shown["split"], record.split.name());
+        assert_eq!(shown["center_m"], json!(record.center_m));
+        assert_eq!(shown["base_station_m"], json!(record.base_station.position_m));
+        let decoded = |field: &str| {
+            BASE64_STANDARD.decode(shown[field].as_str().expect("text")).expect("base64")
+        };
+        assert_eq!(decoded("thumbnail").len(), 16 * 16 / 2);
+        let mut planes = Vec::new();
+        let packed = decoded("planes");
+        flate2::read::DeflateDecoder::new(&packed[..]).read_to_end(&mut planes).expect("deflated");
+        let (heights, levels) = planes.split_at(grids.height_m.len());
+        assert_eq!(levels.len(), grids.height_m.len());
+        for (&byte, &height) in heights.iter().zip(&grids.height_m) {
+            let off = f64::from(byte) * step("height_step_m") - f64::from(height);
+            assert!(off.abs() <= step("height_step_m") / 2.0 || byte == 255, "{id}: {off} m");
+        }
+        let mut holes = 0;
+        for ((&byte, &level), &kind) in levels.iter().zip(&grids.rsrp_dbm).zip(&grids.mask) {
+            holes += u64::from(kind != 1 && (kind == 2 || level < -100.0));
+            match (byte, kind) {
+                (0, 1) | (1, 2) => {}
+                (2.., 0) => {
+                    let at = step("level_low_dbm") + f64::from(byte - 2) * step("level_step_db");
+                    let off = (at - f64::from(level)).abs();
+                    assert!(
+                        off <= step("level_step_db") / 2.0 + 1e-6 || byte == 2,
+                        "{id}: {off} dB"
+                    );
+                }
+                other => panic!("{id}: {other:?}"),
+            }
+        }
+        let outdoor = grids.mask.iter().filter(|kind| **kind != 1).count() as f64;
+        let share = shown["hole_share"].as_f64().expect("a share");
+        assert!((share - holes as f64 / outdoor).abs() < 1e-4, "{id}: {share}");
+    }
 }
 
 #[test]
@@ -371,7 +435,7 @@ fn more_files_than_zenodo_takes_are_refused_with_a_number_that_would_do() {
     });
     let out = dir.path().join("out");
     let said = run(&mut release(&dataset, VERSION, &out)).refused();
-    let words = ["82 shards", "103 files", "at most 100", "--records-per-shard 263"];
+    let words = ["82 shards", "104 files", "at most 100", "--records-per-shard 266"];
     assert_says(&said, &words);
     assert!(!out.exists());
 }

@@ -4,6 +4,7 @@
 //! program, and name the settings that they depend on.
 
 use super::charts::FOLDER;
+use super::page;
 use super::rebuild::{AREA, CONFIG, INPUTS, SCENES, commands};
 use super::scan::Scan;
 use crate::config::Split;
@@ -107,8 +108,10 @@ fn pictures(shown: &[(TileId, Split)]) -> String {
         .collect();
     format!(
         "{} records, of each split in turn by a hash of their names: heights, RSRP, coverage holes; \
-         north is up, the cross is the base station.\n{}",
+         north is up, the cross is the base station. `{}` shows all of them: open it in a browser, no \
+         network is needed.\n{}",
         shown.len(),
+        page::FILE,
         list.concat()
     )
 }

@@ -12,6 +12,7 @@ mod charts;
 mod compare;
 mod date;
 mod diff;
+mod page;
 mod rebuild;
 mod scan;
 mod stage;

@@ -9,7 +9,7 @@ use super::date::Date;
 use super::diff::{DiffError, compare, sums};
 use super::scan::scan;
 use super::version::{is_enough, least};
-use super::{card, charts, rebuild};
+use super::{card, charts, page, rebuild};
 use crate::dataset::{Dataset, ReadError, Record, croissant, record_schemas, reliability_of};
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::{
@@ -192,6 +192,7 @@ pub fn release(job: &ReleaseJob<'_>, progress: &dyn Progress) -> Result<Released
     for (name, picture) in charts::histograms(&manifest, &scan) {
         output.write(&name, &picture)?;
     }
+    output.write(page::FILE, page::page(&dataset, &manifest, progress)?.as_bytes())?;
     let bytes = to_json(&manifest);
     let table = output.write(croissant::TABLE, &scan.table)?;
     let description = croissant::croissant(&manifest, &sha256_bytes(&bytes), Some(&table));
@@ -264,7 +265,7 @@ fn check_shards(manifest: &DatasetManifest, root: &Path) -> Result<(), ReleaseEr
 
 /// Names of a release's files besides shards, pictures and the list of checksums.
 fn texts(manifest: &DatasetManifest) -> Vec<String> {
-    let of_all = [MANIFEST, croissant::FILE, croissant::TABLE, NOTICE, README];
+    let of_all = [MANIFEST, croissant::FILE, croissant::TABLE, NOTICE, README, page::FILE];
     let to_rebuild = rebuild::files(manifest).into_iter().map(|(name, _)| name);
     let texts = of_all.into_iter().chain(to_rebuild).map(str::to_owned);
     texts.chain(schemas(manifest).into_iter().map(|(name, _)| name)).collect()
