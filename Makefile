@@ -243,8 +243,8 @@ test-report: dataset $(VENV)/.installed | browser
 
 # A release is valid Croissant, and its card's lines and the examples read it.
 .PHONY: test-release
-test-release: dataset $(VENV)/.installed
-	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset $(PYTHON) -m pytest -q tests/release
+test-release: dataset $(VENV)/.installed | browser
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset CHROMIUM=$(CHROMIUM) $(PYTHON) -m pytest -q tests/release
 
 # Datasets on servers: HTTP and S3 on loopback, through connections that fail and change bytes.
 .PHONY: test-remote
@@ -317,6 +317,7 @@ fuzz-seeds: dataset $(VENV)/.installed
 
 ## Speed ------------------------------------------------------------------------
 
+STAGES_BENCH := target/release/stages_bench
 .PHONY: bench
 bench: $(BIN) dataset $(VENV)/.installed
 	cargo bench --locked --bench stages -- $(abspath $(DATA))/osm/sanjose_buildings.osm.pbf
@@ -326,6 +327,14 @@ bench: $(BIN) dataset $(VENV)/.installed
 	  $(PYTHON) benches/encode_vs_numpy.py
 	$(VENV)/bin/pip install -q -r benches/requirements.txt
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) benches/rasterise_vs_peers.py
+	@command -v osmium >/dev/null && command -v gdal_rasterize >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -qqy --no-install-recommends osmium-tool gdal-bin; \
+	  else echo "osmium or gdal_rasterize is missing: install osmium-tool and gdal-bin" >&2; exit 1; fi; }
+	cargo bench --locked --bench stages --no-run --message-format=json \
+	  | sed -n 's/.*"name":"stages".*"executable":"\([^"]*\)".*/\1/p' | xargs -I{} cp {} $(STAGES_BENCH)
+	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) STAGES=$(abspath $(STAGES_BENCH)) \
+	  $(PYTHON) benches/parts_vs_peers.py
 
 # Downsampling of radio maps against maps that were traced coarsely.
 .PHONY: bench-downsampling

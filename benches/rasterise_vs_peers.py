@@ -25,7 +25,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tests/real"))
 import gdal_equality as peer  # noqa: E402: the independent reader and rasteriser of the tests
 
-REPETITIONS = 3
+REPETITIONS = 5
 CONFIG = "[buildings]\nparts = false\ndefault_heights_m = {}\n"
 
 
@@ -95,6 +95,7 @@ def main() -> None:
         for _ in range(REPETITIONS):
             for name, work in works.items():
                 times[name].append(seconds(work))
+                print(f"{name}: {times[name][-1]:.2f} s", flush=True)
     medians = {name: statistics.median(values) for name, values in times.items()}
     ours = medians["holescout rasterise"]
     print(f"{extract.name}: {len(tiles)} tiles; median of {REPETITIONS} alternating runs, {os.cpu_count()} cores")

@@ -1,7 +1,8 @@
 //! The inner loops of the pipeline on the fixtures: medians over repetitions.
 //!
-//! `cargo bench --bench stages [EXTRACT.osm.pbf]`. The deflate and Zstandard levels that the
-//! code uses were chosen from this table; `benches/RESULTS.md` keeps the figures.
+//! `cargo bench --bench stages [EXTRACT.osm.pbf [rasterise]]`; with `rasterise` only what
+//! `rasterise_vs_peers.py` compares. The deflate and Zstandard levels that the code uses were chosen from
+//! this table; `benches/RESULTS.md` keeps the figures.
 
 #![allow(clippy::print_stdout, reason = "a benchmark prints its figures")]
 
@@ -70,7 +71,8 @@ fn scenes(city: &City, tiles: &BTreeSet<TileId>, config: &Config) {
 }
 
 fn main() {
-    let extract = std::env::args().nth(1).filter(|argument| !argument.starts_with("--"));
+    let mut arguments = std::env::args().skip(1).filter(|argument| !argument.starts_with("--"));
+    let extract = arguments.next();
     let files =
         [PathBuf::from(extract.unwrap_or_else(|| "fixtures/helsinki/helsinki.osm.pbf".to_owned()))];
     let config = Config::default();
@@ -94,6 +96,9 @@ fn main() {
     let count = tiles.len();
     let rasterise = median(|| tiles.iter().for_each(|(id, _)| drop(source.rasterise(*id))));
     row("rasterise one tile (1 thread)", rasterise, count, "the densest tiles");
+    if arguments.next().as_deref() == Some("rasterise") {
+        return;
+    }
 
     scenes(&extract.city, &source.candidates(), &config);
 
