@@ -92,6 +92,14 @@ pub(super) struct Relation<'a> {
     kinds: Varints<'a>,
 }
 
+/// What ways and relations have in common, by their fields: tags, and the lists 8 to 10.
+struct TaggedLists<'a> {
+    id: i64,
+    info: Info,
+    tags: Tags<'a>,
+    lists: [Varints<'a>; 3],
+}
+
 /// What a relation refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum MemberId {
@@ -374,23 +382,30 @@ impl<'a> DenseNodes<'a> {
     }
 }
 
-impl<'a> Way<'a> {
+impl<'a> TaggedLists<'a> {
     fn read(bytes: &'a [u8]) -> Result<Self, Malformed> {
         let (mut id, mut info, mut tags) = (None, Info::default(), Tags::default());
-        let [mut refs, mut latitudes, mut longitudes] = [Varints::default(); 3];
+        let mut lists = [Varints::default(); 3];
         for field in Fields::of(bytes) {
             match field? {
                 (1, value) => id = Some(value.int()?),
                 (2, list) => once(&mut tags.keys, list)?,
                 (3, list) => once(&mut tags.values, list)?,
                 (4, message) => info.merge(message.bytes()?)?,
-                (8, list) => once(&mut refs, list)?,
-                (9, list) => once(&mut latitudes, list)?,
-                (10, list) => once(&mut longitudes, list)?,
+                (8, list) => once(&mut lists[0], list)?,
+                (9, list) => once(&mut lists[1], list)?,
+                (10, list) => once(&mut lists[2], list)?,
                 _ => {}
             }
         }
-        let id = id.ok_or(Malformed)?;
+        Ok(Self { id: id.ok_or(Malformed)?, info, tags, lists })
+    }
+}
+
+impl<'a> Way<'a> {
+    fn read(bytes: &'a [u8]) -> Result<Self, Malformed> {
+        let TaggedLists { id, info, tags, lists } = TaggedLists::read(bytes)?;
+        let [refs, latitudes, longitudes] = lists;
         Ok(Self { id, info, tags, refs, latitudes, longitudes })
     }
 
@@ -404,21 +419,8 @@ impl<'a> Way<'a> {
 
 impl<'a> Relation<'a> {
     fn read(bytes: &'a [u8]) -> Result<Self, Malformed> {
-        let (mut id, mut info, mut tags) = (None, Info::default(), Tags::default());
-        let [mut roles, mut members, mut kinds] = [Varints::default(); 3];
-        for field in Fields::of(bytes) {
-            match field? {
-                (1, value) => id = Some(value.int()?),
-                (2, list) => once(&mut tags.keys, list)?,
-                (3, list) => once(&mut tags.values, list)?,
-                (4, message) => info.merge(message.bytes()?)?,
-                (8, list) => once(&mut roles, list)?,
-                (9, list) => once(&mut members, list)?,
-                (10, list) => once(&mut kinds, list)?,
-                _ => {}
-            }
-        }
-        let id = id.ok_or(Malformed)?;
+        let TaggedLists { id, info, tags, lists } = TaggedLists::read(bytes)?;
+        let [roles, members, kinds] = lists;
         Ok(Self { id, info, tags, roles, members, kinds })
     }
 }

@@ -15,11 +15,13 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::config::Split;
-use crate::dataset::{Dataset, Grids, ReadError, Record, croissant, hole_share, statistics_of};
+use crate::dataset::{
+    Dataset, Grids, ReadError, Record, croissant, hole_share, statistics_of, unsure_share,
+};
 use crate::grid::TileId;
 use crate::manifest::{DatasetManifest, MASK_BUILDING, MASK_REACHED, Release};
 use crate::progress::Progress;
-use crate::reliability::{HOLE_THRESHOLD, HoleModel, SURE};
+use crate::reliability::{HOLE_THRESHOLD, HoleModel};
 use crate::store::sha256_bytes;
 use crate::units::Dbm;
 
@@ -95,7 +97,8 @@ pub(super) fn page(
     progress.begin("drawing records", Some(records.len() as u64));
     let drawn = records.par_iter().map(|entry| {
         let (record, grids) = dataset.record_with_grids(entry.id)?;
-        let planes = Detail::ALL.map(|detail| planes(&record, &grids, detail));
+        let chances = chances(&record, &grids);
+        let planes = Detail::ALL.map(|detail| planes(&grids, chances.as_deref(), detail));
         progress.advance(1);
         Ok((of_record(&record, &grids, &entry.shard, entry.frame), planes))
     });
@@ -176,7 +179,7 @@ fn of_record(record: &Record, grids: &Grids, shard: &str, frame: u32) -> PageRec
         center_lon_lat: record.center_lon_lat,
         base_station_m: [x, y, z],
         hole_share: rounded(hole_share(&statistics)),
-        reliability: reliability(record, grids).map(rounded),
+        reliability: statistics.reliability.as_ref().map(|it| rounded(1.0 - unsure_share(it))),
         built: rounded(share as f64 / grids.height_m.len() as f64),
         max_height_m: grids.height_m.iter().copied().fold(0.0, f32::max).into(),
         height_sources: sources.map(|(name, cells)| (name, rounded(cells as f64 / total))).into(),
@@ -204,13 +207,6 @@ fn chances(record: &Record, grids: &Grids) -> Option<Vec<Option<f64>>> {
     Some(cells.map(chance).collect())
 }
 
-/// The share of outdoor cells of which it is sure whether they are holes.
-fn reliability(record: &Record, grids: &Grids) -> Option<f64> {
-    let outdoor: Vec<f64> = chances(record, grids)?.into_iter().flatten().collect();
-    let sure = outdoor.iter().filter(|chance| **chance >= SURE || **chance <= 1.0 - SURE);
-    Some(sure.count() as f64 / outdoor.len().max(1) as f64)
-}
-
 /// How much of each part of the record is built, in 15ths, two parts a byte.
 fn thumbnail(grids: &Grids) -> String {
     let cells = grids.height_m.nrows();
@@ -231,7 +227,7 @@ fn in_steps(value: f64, step: f64, highest: u8) -> u8 {
 }
 
 /// The arrays, one after the other, deflated.
-fn planes(record: &Record, grids: &Grids, detail: Detail) -> String {
+fn planes(grids: &Grids, chances: Option<&[Option<f64>]>, detail: Detail) -> String {
     let heights = grids.height_m.iter();
     let mut bytes: Vec<u8> =
         heights.map(|&height| in_steps(height.into(), detail.height_step_m, u8::MAX)).collect();
@@ -244,13 +240,13 @@ fn planes(record: &Record, grids: &Grids, detail: Detail) -> String {
         }
         _ => 1,
     }));
-    if let (Some(errors), Some(chances)) = (&grids.errors, chances(record, grids)) {
+    if let (Some(errors), Some(chances)) = (&grids.errors, chances) {
         let errors = grids.mask.iter().zip(&errors.std_error_db);
         bytes.extend(errors.map(|(&kind, &error)| match kind {
             MASK_REACHED => in_steps(error.into(), detail.error_step_db, NOTHING - 1),
             _ => NOTHING,
         }));
-        bytes.extend(chances.into_iter().map(|chance| {
+        bytes.extend(chances.iter().map(|chance| {
             chance.map_or(NOTHING, |chance| in_steps(chance, detail.hole_step, NOTHING - 1))
         }));
     }

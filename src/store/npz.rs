@@ -194,7 +194,7 @@ impl<R: Read + Seek> NpzReader<R> {
 }
 
 /// Appends what raw deflate data hold, up to a little more than the limit. The ZIP library would clear the memory
-/// first, which takes a third of the time of arrays that are mostly zeros.
+/// first, which was 5 to 7 % of the time of `import-rsrp` and `shard`.
 fn inflate(raw: &[u8], bytes: &mut Vec<u8>, limit: u64) -> Result<(), String> {
     let mut inflater = flate2::Decompress::new(false);
     loop {

@@ -8,26 +8,21 @@ import base64
 import json
 import os
 import subprocess
+import sys
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, Route, sync_playwright
+from playwright.sync_api import Browser, Page
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from browser import Opened, chromium, close, required, visit  # noqa: E402
 
 VERSION = "1.2.0"
 MAX_BYTES = 4_000_000
 WIDTHS = {"desktop": 1280, "phone": 360}
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 # What each colouring counts in.
 UNITS = {
     "split": " record",
@@ -57,25 +52,6 @@ COLORS = """canvas => {
 }"""
 
 
-@dataclass
-class Opened:
-    """The page in the browser, and what it should not have done."""
-
-    page: Page
-    complaints: list[str] = field(default_factory=list)
-    requests: list[str] = field(default_factory=list)
-
-
-def required(name: str) -> Path:
-    value = os.environ.get(name)
-    if not value:
-        pytest.fail(f"set {name}", pytrace=False)
-    path = Path(value)
-    if not path.exists():
-        pytest.fail(f"{name}: {path} does not exist", pytrace=False)
-    return path.resolve()
-
-
 @pytest.fixture(scope="module")
 def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if os.environ.get("RELEASE"):
@@ -88,38 +64,20 @@ def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    os.environ.setdefault("CHROMIUM", "/usr/bin/chromium")
-    chromium = required("CHROMIUM")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 def open_page(browser: Browser, release: Path, width: int, scheme: str = "light", hash: str = "") -> Opened:
-    context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-    opened = Opened(context.new_page())
     home = (release / "index.html").as_uri()
-
-    def only_the_page(route: Route) -> None:
-        if route.request.url.split("#")[0] == home:
-            route.continue_()
-        else:
-            opened.requests.append(route.request.url)
-            route.abort()
-
-    context.route("**/*", only_the_page)
-    page = opened.page
-    page.on("console", lambda message: opened.complaints.append(message.text))
-    page.on("pageerror", lambda error: opened.complaints.append(str(error)))
-    page.goto(home + hash)
-    return opened
-
-
-def close(opened: Opened) -> None:
-    opened.page.context.close()
-    assert opened.complaints == []
-    assert opened.requests == []
+    return visit(
+        browser,
+        home + hash,
+        width,
+        scheme,
+        is_allowed=lambda url: url.split("#")[0] == home,
+        is_complaint=lambda message: True,
+    )
 
 
 @pytest.fixture

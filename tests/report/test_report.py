@@ -5,32 +5,24 @@ What is missing is an error, never a skipped test.
 """
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, Route, sync_playwright
+from playwright.sync_api import Browser, Locator, Page
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import repeated_dataset  # noqa: E402
+from browser import Opened, chromium, close, required, visit  # noqa: E402
 
 STARTS = 20
 # What ends nearer to a start than this may lie below its disc.
 START_CELLS = 3
 WIDTHS = {"desktop": 1280, "phone": 400}
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 
 
 @dataclass(frozen=True)
@@ -39,25 +31,6 @@ class Output:
 
     page: Path
     report: dict[str, Any]
-
-
-@dataclass
-class Opened:
-    """The page in the browser, and what it should not have done."""
-
-    page: Page
-    complaints: list[str] = field(default_factory=list)
-    requests: list[str] = field(default_factory=list)
-
-
-def required(name: str) -> Path:
-    value = os.environ.get(name)
-    if not value:
-        pytest.fail(f"set {name}", pytrace=False)
-    path = Path(value)
-    if not path.exists():
-        pytest.fail(f"{name}: {path} does not exist", pytrace=False)
-    return path.resolve()
 
 
 @pytest.fixture(scope="session")
@@ -82,34 +55,19 @@ def evaluated(dataset: Path, out: Path) -> Output:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    os.environ.setdefault("CHROMIUM", "/usr/bin/chromium")
-    chromium = required("CHROMIUM")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 def open_page(browser: Browser, output: Output, width: int, scheme: str = "light") -> Opened:
-    context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-    opened = Opened(context.new_page())
-
-    def only_files(route: Route) -> None:
-        if route.request.url.startswith(("file:", "data:")):
-            route.continue_()
-        else:
-            opened.requests.append(route.request.url)
-            route.abort()
-
-    context.route("**/*", only_files)
-    page = opened.page
-    page.on(
-        "console",
-        lambda message: opened.complaints.append(message.text) if message.type in {"error", "warning"} else None,
+    return visit(
+        browser,
+        output.page.as_uri(),
+        width,
+        scheme,
+        is_allowed=lambda url: url.startswith(("file:", "data:")),
+        is_complaint=lambda message: message.type in {"error", "warning"},
     )
-    page.on("pageerror", lambda error: opened.complaints.append(str(error)))
-    page.goto(output.page.as_uri())
-    return opened
 
 
 @pytest.fixture
@@ -117,9 +75,7 @@ def opened(browser: Browser, output: Output) -> Iterator[Opened]:
     """The page on a wide screen; whatever the test does, it must stay quiet and off the network."""
     opened = open_page(browser, output, WIDTHS["desktop"])
     yield opened
-    opened.page.context.close()
-    assert opened.complaints == []
-    assert opened.requests == []
+    close(opened)
 
 
 @pytest.fixture
