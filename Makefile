@@ -7,6 +7,8 @@
 #   make release VERSION=1.2.0   the dataset as it is published: OUT/release/NAME-1.2.0 and .tar
 #   make maps [TRACE_FLAGS=..]   scenes of the tiles, and their radio maps by Sionna RT: OUT/scenes, OUT/maps
 #   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
+#   make evaluate DATASET=dir    and `make train DATASET=dir`: the same on a dataset that is there
+#   make sanjose                 all methods on the dataset of San Jose in this repository
 #   make test                    everything that needs no large data
 #   make test-real DATA=dir      against GDAL, PROJ and whole cities
 #   make fuzz [FUZZ_SECONDS=60]  the readers of other people's files, each target so long
@@ -19,12 +21,18 @@ SHELL := bash
 .SUFFIXES:
 
 FIXTURE := fixtures/helsinki
+# The dataset of a city that lies in the repository.
+SANJOSE := datasets/sanjose-0.1.0
+# Whether the dataset is one that is there, or is to be made of an extract and maps.
+IS_GIVEN := $(DATASET)
 OSM ?= $(FIXTURE)/helsinki.osm.pbf
 RSRP ?= $(FIXTURE)/rsrp
-OUT ?= build/$(firstword $(subst ., ,$(notdir $(firstword $(OSM)))))
-CONFIG ?= $(if $(filter $(FIXTURE)/%,$(OSM)),$(FIXTURE)/holescout.toml)
+OUT ?= build/$(or $(notdir $(IS_GIVEN:%/=%)),$(firstword $(subst ., ,$(notdir $(firstword $(OSM))))))
+DATASET ?= $(OUT)/dataset
+IS_FIXTURE := $(if $(IS_GIVEN),,$(filter $(FIXTURE)/%,$(OSM)))
+CONFIG ?= $(if $(IS_FIXTURE),$(FIXTURE)/holescout.toml)
 # The fixtures are too small for a test split.
-SPLIT ?= $(if $(filter $(FIXTURE)/%,$(OSM)),all,test)
+SPLIT ?= $(if $(IS_FIXTURE),all,test)
 DATA ?= ../shared/data
 CHROMIUM ?= $(or $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),/usr/bin/chromium)
 
@@ -46,13 +54,13 @@ RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,12s/^# *//p' Makefile
+	@sed -n '3,14s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
 .PHONY: dataset
 dataset: $(OUT)/.verified
-	@echo "dataset: $(OUT)/dataset"
+	@echo "dataset: $(DATASET)"
 
 $(OUT)/tiles/manifest.json: $(OSM) $(CONFIG) $(OUT)/.inputs $(BIN)
 	$(RUN) rasterise --osm $(OSM) --out $(@D) --overwrite
@@ -66,14 +74,15 @@ $(OUT)/dataset/manifest.json: $(OUT)/rsrp/manifest.json
 	$(RUN) shard --tiles $(OUT)/tiles --rsrp $(OUT)/rsrp --out $(@D) --overwrite
 	@touch $@
 
-$(OUT)/.verified: $(OUT)/dataset/manifest.json
-	$(BIN) verify $(OUT)/dataset
+$(OUT)/.verified: $(DATASET)/manifest.json | $(BIN)
+	$(BIN) verify $(DATASET)
+	@mkdir -p $(@D)
 	@touch $@
 
 # The dataset is built once more, elsewhere, from the inputs that its manifest records.
 .PHONY: verify-rebuild
 verify-rebuild: dataset
-	$(BIN) verify $(OUT)/dataset --rebuild --osm $(OSM) --maps $(RSRP)
+	$(BIN) verify $(DATASET) --rebuild --osm $(OSM) --maps $(RSRP)
 
 # The dataset with a version, as a directory and an archive; RELEASE_FLAGS="--url .. --creator .. --previous DIR" and the like go
 # to `holescout release`. Without a DATE it tells none: the same command gives the same bytes tomorrow. A version that is there
@@ -83,7 +92,7 @@ RELEASE = $(OUT)/release/$(NAME)-$(VERSION)
 .PHONY: release
 release: $(OUT)/.verified
 	@test -n '$(VERSION)' || { echo "say which: make release VERSION=1.2.0" >&2; exit 2; }
-	$(RUN) release $(OUT)/dataset --version $(VERSION) --name $(NAME) $(if $(DATE),--date $(DATE)) $(RELEASE_FLAGS) \
+	$(RUN) release $(DATASET) --version $(VERSION) --name $(NAME) $(if $(DATE),--date $(DATE)) $(RELEASE_FLAGS) \
 	  --tar --out $(RELEASE)
 	$(BIN) verify $(RELEASE)
 	@echo "release: $(RELEASE)"
@@ -94,7 +103,7 @@ evaluate: $(OUT)/evaluation/$(SPLIT)/manifest.json
 	@echo "report: $(<D)/report.html"
 
 $(OUT)/evaluation/$(SPLIT)/manifest.json: $(OUT)/.verified
-	$(RUN) evaluate --dataset $(OUT)/dataset --split $(SPLIT) --out $(@D) --overwrite
+	$(RUN) evaluate --dataset $(DATASET) --split $(SPLIT) --out $(@D) --overwrite
 	@touch $@
 
 # A Q-network by Double DQN, from the last checkpoint on if there is one; then it is judged beside the other methods on
@@ -102,8 +111,21 @@ $(OUT)/evaluation/$(SPLIT)/manifest.json: $(OUT)/.verified
 .PHONY: train
 train: $(OUT)/.verified $(LIBTORCH)/.installed | tools-torch
 	$(TORCH) cargo build --release --locked --features torch
-	$(RUN) train --dataset $(OUT)/dataset --run $(OUT)/run $(if $(UPDATES),--updates $(UPDATES))
-	$(RUN) evaluate --dataset $(OUT)/dataset --split val --policy $(OUT)/run/best --out $(OUT)/evaluation/agent --overwrite
+	$(RUN) train --dataset $(DATASET) --run $(OUT)/run $(if $(UPDATES),--updates $(UPDATES))
+	$(RUN) evaluate --dataset $(DATASET) --split val --policy $(OUT)/run/best --out $(OUT)/evaluation/agent --overwrite
+
+# The dataset of San Jose in this repository: verified, all methods judged on its test split. Its index.html shows the records.
+.PHONY: sanjose
+sanjose:
+	$(MAKE) evaluate DATASET=$(SANJOSE)
+	@echo "records: $(SANJOSE)/index.html"
+
+# The same dataset once more from its inputs; the extract is not in the repository.
+.PHONY: sanjose-rebuild
+sanjose-rebuild: $(BIN) $(VENV)/.installed
+	rm -rf build/sanjose-maps
+	$(PYTHON) pipeline/map_packs.py unpack $(SANJOSE) --about datasets/sanjose-maps/about.xz --out build/sanjose-maps
+	$(BIN) verify $(SANJOSE) --rebuild --osm $(DATA)/osm/sanjose_buildings.osm.pbf --maps build/sanjose-maps
 
 # Other file names are other inputs, though no file became newer.
 $(OUT)/.inputs: FORCE

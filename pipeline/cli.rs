@@ -94,6 +94,8 @@ pub(crate) enum Command {
     Inspect(InspectArgs),
     /// Write a dataset as it is published: with a version, card, pictures, Croissant
     Release(ReleaseArgs),
+    /// Write a dataset in a format of others: Parquet, for pandas, Polars, Hugging Face datasets
+    Export(ExportArgs),
     /// Say what changed between two datasets or releases, and which version that asks for
     Diff(DiffArgs),
     /// Judge methods on a dataset: precision and recall, with intervals, and a report
@@ -155,6 +157,7 @@ impl Command {
             #[cfg(feature = "torch")]
             Self::ExportPolicy(_) => {}
             Self::Inspect(args) => args.remote.apply(config),
+            Self::Export(args) => args.remote.apply(config),
             Self::Verify(_) | Self::Release(_) | Self::Diff(_) | Self::Schemas(_) => {}
         }
     }
@@ -253,6 +256,21 @@ pub(crate) struct InspectArgs {
     /// Write a table of all records
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) csv: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ExportArgs {
+    /// A dataset: a directory, or an address (feature remote)
+    #[arg(value_name = "DATASET", value_hint = ValueHint::DirPath)]
+    pub(crate) dataset: PathBuf,
+    #[command(flatten)]
+    pub(crate) remote: RemoteFlags,
+    /// Directory to fill with Parquet files; it must be new, empty, or an interrupted run of the same dataset
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub(crate) parquet: PathBuf,
+    /// Replace an export of another dataset
+    #[arg(long)]
+    pub(crate) overwrite: bool,
 }
 
 #[derive(Debug, Args)]

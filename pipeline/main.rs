@@ -5,6 +5,7 @@ mod config;
 mod console;
 mod diff;
 mod evaluate;
+mod export;
 #[cfg(feature = "torch")]
 mod export_policy;
 mod failure;
@@ -65,6 +66,7 @@ fn run(cli: &Cli, console: &Console) -> Result<Report, Failure> {
         Command::Verify(args) => verify::run(args, console),
         Command::Inspect(args) => inspect::run(args, &config),
         Command::Release(args) => release::run(args, console),
+        Command::Export(args) => export::run(args, &config, console),
         Command::Diff(args) => diff::run(args, console),
         Command::Schemas(args) => schemas::run(args),
         Command::Config(_) => config::run(&config),

@@ -1,5 +1,6 @@
 //! `holescout release`.
 
+use holescout::error::FileError;
 use holescout::progress::Progress;
 use holescout::release::{Date, ReleaseJob, release};
 use serde_json::json;
@@ -20,6 +21,11 @@ pub(crate) fn run(args: &ReleaseArgs, console: &Console) -> Result<Report, Failu
         })?),
         (None, None) => None,
     };
+    let notes = args
+        .notes
+        .as_deref()
+        .map(|path| std::fs::read_to_string(path).map_err(FileError::new("read", path)));
+    let notes = notes.transpose()?;
     let mtime = epoch.or(date.map(Date::epoch)).unwrap_or(0);
     let job = ReleaseJob {
         dataset: &args.dataset,
@@ -29,6 +35,7 @@ pub(crate) fn run(args: &ReleaseArgs, console: &Console) -> Result<Report, Failu
         date,
         url: args.url.as_deref(),
         creators: &args.creator,
+        notes: notes.as_deref(),
         previous: args.previous.as_deref(),
         archive: args.tar.then_some(mtime),
         overwrite: args.overwrite,

@@ -7,8 +7,8 @@ use holescout::dataset::record_schemas;
 use holescout::error::FileError;
 use holescout::evaluate::Report as EvaluationReport;
 use holescout::manifest::{
-    DatasetManifest, EvaluationManifest, Manifest, PolicyManifest, RsrpManifest, RsrpMeta,
-    RunManifest, SceneMeta, ScenesManifest, TileMeta, TilesManifest, json_schema,
+    DatasetManifest, EvaluationManifest, ExportManifest, Manifest, PolicyManifest, RsrpManifest,
+    RsrpMeta, RunManifest, SceneMeta, ScenesManifest, TileMeta, TilesManifest, json_schema,
 };
 use holescout::rsrp::RadioMapMetadata;
 use holescout::store::write_atomic;
@@ -74,6 +74,7 @@ fn all() -> Vec<(String, Vec<u8>)> {
         schema::<DatasetManifest>(DatasetManifest::SCHEMA),
         schema::<EvaluationManifest>(EvaluationManifest::SCHEMA),
         schema::<EvaluationReport>(EvaluationReport::SCHEMA),
+        schema::<ExportManifest>(ExportManifest::SCHEMA),
         schema::<PolicyManifest>(PolicyManifest::SCHEMA),
         schema::<RunManifest>(RunManifest::SCHEMA),
     ];

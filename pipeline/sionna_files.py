@@ -260,12 +260,13 @@ def is_traced(path: Path, metadata: Metadata, overwrite: bool) -> bool:
     return not differences
 
 
-def write_map(path: Path, arrays: dict[str, np.ndarray], metadata: Metadata, part_suffix: str) -> None:
+def write_map(path: Path, arrays: dict[str, np.ndarray], metadata: Metadata, part_suffix: str, *, compress: bool = True) -> None:
     """Writes a map so that at any time the old one, none, or the whole new one is there."""
     part = path.with_name(f".{path.name}{part_suffix}")
     text = json.dumps(metadata, sort_keys=True, ensure_ascii=False)
     with part.open("wb") as file:
-        np.savez_compressed(file, **arrays, meta_json=np.frombuffer(text.encode(), dtype=np.uint8))
+        save = np.savez_compressed if compress else np.savez
+        save(file, **arrays, meta_json=np.frombuffer(text.encode(), dtype=np.uint8))
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)

@@ -16,7 +16,7 @@ const MOST_PRINTED: usize = 100;
 pub(crate) fn run(args: &VerifyArgs, console: &Console) -> Result<Report, Failure> {
     let verification = verify(&args.directory, console)?;
     let mut failures = verification.failures;
-    let mut rebuilt = None;
+    let (mut rebuilt, mut records) = (None, None);
     if args.rebuild {
         let InputArgs { osm, maps, scenes, tiles, sites } = &args.inputs;
         let given = GivenInputs {
@@ -29,6 +29,7 @@ pub(crate) fn run(args: &VerifyArgs, console: &Console) -> Result<Report, Failur
         let rebuilding = rebuild(&args.directory, given, console)?;
         rebuilt = Some(rebuilding.files);
         failures.extend(rebuilding.failures);
+        records = rebuilding.records;
     }
     let mut summary = json!({
         "stage": "verify",
@@ -40,11 +41,18 @@ pub(crate) fn run(args: &VerifyArgs, console: &Console) -> Result<Report, Failur
     if let Some(files) = rebuilt {
         summary["rebuilt"] = json!(files);
     }
+    if let Some(records) = &records {
+        summary["records"] = json!(records);
+    }
     let mut text = String::new();
     for failure in failures.iter().take(MOST_PRINTED) {
         writeln!(text, "{failure}").expect("writing to a string cannot fail");
     }
     let directory = args.directory.display();
+    if let Some(records) = records {
+        writeln!(text, "{directory}: compared with what was rebuilt: {records}")
+            .expect("writing to a string cannot fail");
+    }
     if failures.is_empty() {
         let (files, items) = (verification.files, verification.items);
         writeln!(text, "{directory}: sound: {files} files and {items} items verified")

@@ -59,7 +59,7 @@
 //! | feature | adds |
 //! |---|---|
 //! | `build` | what datasets are made from: [`osm`], [`rasterise`], [`scenes`], [`rsrp`], [`dataset::shard`]; Unix only |
-//! | `report` | `build`, and [`evaluate`] with plots, [`release`], [`verify`], [`rebuild`] |
+//! | `report` | `build`, and [`evaluate`] with plots, [`release`], [`export`], [`verify`], [`rebuild`] |
 //! | `cli` (default) | `report`, and the command `holescout` |
 //! | `remote` | datasets at `http(s)://` and `s3://` |
 //! | `torch` | `report`, `rl::agent` and `train`; needs libtorch |
@@ -110,6 +110,8 @@ pub mod dataset;
 pub mod error;
 #[cfg(feature = "report")]
 pub mod evaluate;
+#[cfg(feature = "report")]
+pub mod export;
 pub mod grid;
 pub mod manifest;
 #[cfg(feature = "build")]

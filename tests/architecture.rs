@@ -29,7 +29,7 @@ const LEVELS: [&[&str]; 14] = [
     &["rl"],
     &["evaluate"],
     &["train"],
-    &["release"],
+    &["release", "export"],
     &["verify"],
     &["rebuild"],
 ];

@@ -181,6 +181,18 @@ fn a_forged_configuration_is_found() {
         &message,
         &["train/shard-00000.msgpack.zst: is ", "manifest.json: is ", "it differs in"],
     );
+    assert_says(&message, &["all 15 records are the same in every value"]);
+}
+
+/// Whether it is the records that differ, and in what, is told beside the files.
+#[test]
+fn records_that_differ_are_counted_by_field() {
+    let (_dir, root, _) = copy_of(&HELSINKI.dataset);
+    forge(&root, |manifest| {
+        manifest["config"]["buildings"]["level_height_m"] = json!(4.5);
+    });
+    let message = run(&mut rebuild_dataset(&root)).refused();
+    assert_says(&message, &["of 15 records that are in both, 15 differ (", "height_m in "]);
 }
 
 /// Another version is named first: it may be the reason for all else.
@@ -191,6 +203,7 @@ fn another_version_is_named_first() {
     let message = run(&mut rebuild_dataset(&root)).refused();
     let first = message.lines().next().expect("a line");
     assert_says(first, &["manifest.json", "0.0.7", env!("CARGO_PKG_VERSION"), "same version"]);
+    assert_says(&message, &["all 15 records are the same in every value"]);
 }
 
 #[test]

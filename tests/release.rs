@@ -217,19 +217,56 @@ fn the_configuration_is_the_one_of_the_dataset() {
     }
 }
 
+#[test]
+fn the_card_tells_where_holes_lie() {
+    let card = String::from_utf8(read(&RELEASE.join("README.md"))).expect("text");
+    let rows = card.lines().filter(|line| line.contains(" m") && line.starts_with("| "));
+    let cells: u64 = rows
+        .filter(|row| row.contains(" to ") || row.contains("or more"))
+        .filter_map(|row| row.split('|').nth(2)?.trim().parse::<u64>().ok())
+        .sum();
+    let manifest = read_json(&RELEASE.join("manifest.json"));
+    let outdoor = |split: &str| {
+        let cells = &manifest["statistics"][split]["cells"];
+        cells["reached"].as_u64().expect("a number") + cells["unreached"].as_u64().expect("one")
+    };
+    // Every record has a building, so that all outdoor cells have a distance to one.
+    assert_eq!(cells, outdoor("train") + outdoor("val"));
+}
+
 /// The commands of the card, run as they stand where the inputs lie, give the release again.
 #[test]
 fn the_commands_of_the_card_build_the_same_release() {
+    builds_again(&RELEASE, &["config.toml", "inputs.sha256"]);
+}
+
+/// What the makers say is a section of the card, and part of what is built again.
+#[test]
+fn the_notes_of_the_makers_are_in_the_card() {
+    let dir = temporary_dir();
+    let (notes, out) = (dir.path().join("said.md"), dir.path().join("out"));
+    write(&notes, "Walls are of *concrete*.\n\n\n");
+    run(release(&HELSINKI.dataset, VERSION, &out).arg("--notes").arg(&notes)).succeeds();
+    let card = String::from_utf8(read(&out.join("README.md"))).expect("text");
+    assert_says(&card, &["## From the makers\n\nWalls are of *concrete*.\n\n## Building it again"]);
+    builds_again(&out, &["config.toml", "inputs.sha256", "notes.md"]);
+    let mut absent = release(&HELSINKI.dataset, VERSION, &dir.path().join("absent"));
+    let message = run(absent.arg("--notes").arg(dir.path().join("none.md"))).refused();
+    assert_says(&message, &["none.md"]);
+}
+
+/// Runs the commands of a release's card where these files of it and the inputs lie.
+fn builds_again(release: &Path, files: &[&str]) {
     let dir = temporary_dir();
     fs::copy(fixture("helsinki/helsinki.osm.pbf"), dir.path().join("helsinki.osm.pbf"))
         .expect("copied");
     for (name, bytes) in tree(&fixture("helsinki/rsrp")) {
         write(&dir.path().join("maps").join(name), bytes);
     }
-    for name in ["config.toml", "inputs.sha256"] {
-        fs::copy(RELEASE.join(name), dir.path().join(name)).expect("copied");
+    for name in files {
+        fs::copy(release.join(name), dir.path().join(name)).expect("copied");
     }
-    let card = String::from_utf8(read(&RELEASE.join("README.md"))).expect("text");
+    let card = String::from_utf8(read(&release.join("README.md"))).expect("text");
     let block = card.split("```sh\n").nth(1).and_then(|rest| rest.split("```").next());
     let block = block.expect("a block of commands");
     assert_eq!(block.lines().count(), 5);
@@ -238,7 +275,7 @@ fn the_commands_of_the_card_build_the_same_release() {
     let mut shell = Command::new("sh");
     shell.args(["-e", "-c", block]).current_dir(dir.path()).env_remove("SOURCE_DATE_EPOCH");
     run(shell.env("PATH", format!("{}:{path}", program.display()))).succeeds();
-    assert_same_files(&tree(&dir.path().join("helsinki-1.2.0")), &tree(&RELEASE));
+    assert_same_files(&tree(&dir.path().join("helsinki-1.2.0")), &tree(release));
 }
 
 // The same bytes -------------------------------------------------------------------------

@@ -25,6 +25,9 @@ pub(crate) struct ReleaseArgs {
     /// Who made it; may be given several times
     #[arg(long, value_name = "NAME")]
     pub(crate) creator: Vec<String>,
+    /// What the makers say of the data, a file of Markdown; becomes a section of the card
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub(crate) notes: Option<PathBuf>,
     /// The release before this one: a version that is too small a step from its is refused
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     pub(crate) previous: Option<PathBuf>,

@@ -150,6 +150,9 @@ pub struct Release {
     pub url: Option<String>,
     /// Who made it.
     pub creators: Vec<String>,
+    /// What they say of it, in Markdown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub notes: Option<String>,
     /// The program that wrote the release; [`DatasetManifest::software`] wrote the records.
     pub software: Software,
     /// SHA-256 of the manifest of the dataset that was released.

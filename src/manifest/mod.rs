@@ -6,6 +6,7 @@
 mod common;
 mod dataset;
 mod evaluation;
+mod export;
 #[cfg(feature = "build")]
 mod files;
 mod mask;
@@ -25,6 +26,7 @@ pub use dataset::{
     ShardEntry, ShiftHistogram, SplitStatistics,
 };
 pub use evaluation::EvaluationManifest;
+pub use export::{ExportColumn, ExportFile, ExportManifest};
 #[cfg(feature = "build")]
 pub use files::{
     RsrpFile, StageFileError, TileFile, dropped_tiles, read_scene_file, read_scene_meta,

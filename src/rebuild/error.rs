@@ -7,7 +7,7 @@ use crate::dataset::ShardError;
 use crate::error::{Fault, FileError, HasFault};
 use crate::manifest::ManifestError;
 use crate::rasterise::RasteriseError;
-use crate::release::ReleaseError;
+use crate::release::{DiffError, ReleaseError};
 use crate::rsrp::ImportRsrpError;
 use crate::scenes::ScenesError;
 
@@ -39,6 +39,9 @@ pub enum RebuildError {
     /// The release cannot be made.
     #[error(transparent)]
     Release(#[from] ReleaseError),
+    /// Its records cannot be compared with those rebuilt.
+    #[error(transparent)]
+    Diff(#[from] DiffError),
     /// No stage that can be repeated.
     #[error("{schema} cannot be rebuilt: only tiles, scenes, imported maps and datasets can")]
     NoStage {
@@ -110,6 +113,7 @@ impl HasFault for RebuildError {
             Self::Import(error) => error.fault(),
             Self::Shard(error) => error.fault(),
             Self::Release(error) => error.fault(),
+            Self::Diff(error) => error.fault(),
             _ => Fault::Input,
         }
     }

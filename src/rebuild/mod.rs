@@ -7,6 +7,7 @@
 mod compare;
 mod error;
 mod inputs;
+mod records;
 mod stages;
 
 use std::path::{Path, PathBuf};
@@ -44,6 +45,8 @@ pub struct Rebuilding {
     pub files: usize,
     /// What is not the same, a difference of versions first; empty if every file is.
     pub failures: Vec<VerifyFailure>,
+    /// Of a dataset that is not the same: what that means for its records, in words.
+    pub records: Option<String>,
 }
 
 /// Builds the tiles, scenes, maps or dataset in a directory once more and compares every file.
@@ -60,7 +63,8 @@ pub fn rebuild(
     let scratch = scratch.map_err(FileError::new("create", &std::env::temp_dir()))?;
     let mut bench =
         stages::Bench { directory, given, scratch: scratch.path(), progress, failures: Vec::new() };
-    let rebuilt = match schema(directory).as_deref() {
+    let schema = schema(directory);
+    let rebuilt = match schema.as_deref() {
         Some(TilesManifest::SCHEMA) => bench.tiles()?,
         Some(ScenesManifest::SCHEMA) => bench.scenes()?,
         Some(RsrpManifest::SCHEMA) => bench.maps()?,
@@ -69,7 +73,13 @@ pub fn rebuild(
     };
     let mut failures = bench.failures;
     let files = compare::compare(directory, &rebuilt, &mut failures, progress)?;
-    Ok(Rebuilding { files, failures })
+    let is_dataset = matches!(schema.as_deref(), None | Some(DatasetManifest::SCHEMA));
+    let records = if is_dataset && !failures.is_empty() {
+        Some(records::compare(directory, &rebuilt, progress)?)
+    } else {
+        None
+    };
+    Ok(Rebuilding { files, failures, records })
 }
 
 /// Says so if another version wrote an output: then its bytes may differ for that alone.

@@ -123,7 +123,7 @@ impl<'a> Bench<'a> {
     /// What was made of a dataset to publish it.
     fn release(&self, recorded: &Release, dataset: &Path) -> Result<PathBuf, RebuildError> {
         let wrong = |reason: String| RebuildError::Contradiction { reason };
-        let Release { name, version, date, url, creators, .. } = recorded;
+        let Release { name, version, date, url, creators, notes, .. } = recorded;
         let version = &Version::parse(version).map_err(|error| wrong(error.to_string()))?;
         let date = date.as_deref().map(str::parse).transpose();
         let out = self.scratch.join("release");
@@ -135,6 +135,7 @@ impl<'a> Bench<'a> {
             date: date.map_err(|error: DateError| wrong(error.to_string()))?,
             url: url.as_deref(),
             creators,
+            notes: notes.as_deref(),
             previous: None,
             archive: None,
             overwrite: false,

@@ -5,7 +5,7 @@
 
 use super::charts::FOLDER;
 use super::page;
-use super::rebuild::{AREA, CONFIG, INPUTS, SCENES, commands};
+use super::rebuild::{AREA, CONFIG, INPUTS, NOTES, SCENES, commands};
 use super::scan::Scan;
 use crate::config::Split;
 use crate::dataset::{card, croissant, reliability_of};
@@ -28,16 +28,19 @@ pub(super) fn readme(manifest: &DatasetManifest, scan: &Scan, shown: &[(TileId, 
         section("Pictures", &pictures(shown)),
         section("Records", &records(manifest)),
         section("Radio maps", &radio_maps(scan)),
+        section("Holes and walls", &walls(scan)),
         section("Heights", &heights(manifest)),
         section("Splits", &card::splits(manifest)),
         section("What was left out", &card::left_out(manifest)),
         section("What it is for", INTENDED_USE),
         section("Limits", &limits(manifest)),
+        notes(manifest),
         section("Building it again", &rebuilding(manifest)),
         section("Citing it", &format!("```bibtex\n{}\n```\n", croissant::citation(manifest))),
         section("Licence", &licence(manifest)),
     ];
-    sections.join("\n")
+    let there = sections.into_iter().filter(|section| !section.is_empty());
+    there.collect::<Vec<_>>().join("\n")
 }
 
 /// `NOTICE`: that of the dataset, and where the radio maps are listed.
@@ -154,6 +157,22 @@ fn radio_maps(scan: &Scan) -> String {
     )
 }
 
+fn walls(scan: &Scan) -> String {
+    format!(
+        "Shadows lie behind walls: outdoor cells of all records that have a building, by the distance of \
+         their centres to the nearest one that is as high as the UAV flies.\n\n{}",
+        scan.walls.table()
+    )
+}
+
+/// What its makers say of the data, if they do.
+fn notes(manifest: &DatasetManifest) -> String {
+    let notes = manifest.release.as_ref().and_then(|release| release.notes.as_deref());
+    let section =
+        |notes: &str| card::section("From the makers", &format!("{}\n", notes.trim_end()));
+    notes.map_or_else(String::new, section)
+}
+
 fn heights(manifest: &DatasetManifest) -> String {
     let BuiltBySource { height, levels, default } = card::built_cells(manifest);
     let total = (height + levels + default).max(1) as f64;
@@ -225,10 +244,12 @@ fn rebuilding(manifest: &DatasetManifest) -> String {
             " The import also needs, in `{SCENES}/`, the scenes whose manifest has SHA-256 {sha256}."
         )
     });
+    let has_notes = manifest.release.as_ref().is_some_and(|release| release.notes.is_some());
+    let notes = if has_notes { format!(", `{NOTES}`") } else { String::new() };
     let dated = manifest.release.as_ref().is_some_and(|release| release.date.is_some());
     let epoch = if dated { "" } else { " `SOURCE_DATE_EPOCH` must be unset." };
     format!(
-        "With {versions}, in a directory that holds `{CONFIG}`{area}, the extracts and, in `maps/`, the \
+        "With {versions}, in a directory that holds `{CONFIG}`{area}{notes}, the extracts and, in `maps/`, the \
          radio maps:\n\n```sh\n{}```\n\n\
          `{INPUTS}` names every extract and every map by its SHA-256.{scenes}{epoch} \
          `holescout verify --rebuild` does the same elsewhere and compares every file.\n",

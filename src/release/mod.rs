@@ -17,6 +17,7 @@ mod rebuild;
 mod scan;
 mod stage;
 mod version;
+mod walls;
 
 pub use changes::{Change, ChangedRecord, FileChanges, MovedRecord, RecordChanges};
 pub use date::{Date, DateError};

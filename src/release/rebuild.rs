@@ -14,6 +14,8 @@ pub(super) const CONFIG: &str = "config.toml";
 pub(super) const INPUTS: &str = "inputs.sha256";
 /// The polygons that tiles were asked for by.
 pub(super) const AREA: &str = "area.geojson";
+/// What the makers say of the data.
+pub(super) const NOTES: &str = "notes.md";
 /// Folder of the radio maps in [`INPUTS`].
 const MAPS: &str = "maps";
 /// Folder of the scenes that maps were traced from.
@@ -24,6 +26,8 @@ pub(super) fn files(manifest: &DatasetManifest) -> Vec<(&'static str, Vec<u8>)> 
     let mut files =
         vec![(CONFIG, config_toml(manifest).into_bytes()), (INPUTS, inputs(manifest).into_bytes())];
     files.extend(area_geojson(manifest).map(|area| (AREA, area)));
+    let notes = manifest.release.as_ref().and_then(|release| release.notes.clone());
+    files.extend(notes.map(|notes| (NOTES, notes.into_bytes())));
     files
 }
 
@@ -90,6 +94,9 @@ pub(super) fn commands(manifest: &DatasetManifest) -> String {
             flag("url", url);
         }
         this.creators.iter().for_each(|creator| flag("creator", creator));
+        if this.notes.is_some() {
+            flag("notes", NOTES);
+        }
     }
     let extracts = extracts.join(" ");
     let area = if manifest.area.is_some() { format!(" --area {AREA}") } else { String::new() };

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
+use super::walls::WallCounts;
 use crate::config::Split;
 use crate::dataset::{Dataset, ReadError, hole_share, statistics_of, table_csv, table_row};
 use crate::manifest::{IndexEntry, Radio};
@@ -20,6 +21,8 @@ pub(super) struct Scan {
     pub(super) radio: BTreeMap<String, u64>,
     /// Transmit powers per resource element, in dBm: lowest, highest.
     pub(super) power_dbm: [f64; 2],
+    /// Coverage holes by distance to the nearest wall.
+    pub(super) walls: WallCounts,
 }
 
 struct Scanned {
@@ -28,6 +31,7 @@ struct Scanned {
     hole_share: f64,
     radio: String,
     power_dbm: f64,
+    walls: WallCounts,
 }
 
 /// Reads all records; their values are checked on the way.
@@ -47,6 +51,7 @@ pub(super) fn scan(dataset: &Dataset, progress: &dyn Progress) -> Result<Scan, R
         *scan.radio.entry(one.radio.clone()).or_default() += 1;
         let [lowest, highest] = scan.power_dbm;
         scan.power_dbm = [lowest.min(one.power_dbm), highest.max(one.power_dbm)];
+        scan.walls.add(&one.walls);
     }
     let rows = scanned.into_iter().map(|one| one.row);
     scan.table = table_csv(dataset.manifest(), rows);
@@ -62,6 +67,7 @@ fn scan_one(dataset: &Dataset, entry: &IndexEntry) -> Result<Scanned, ReadError>
         hole_share: hole_share(&statistics),
         radio: in_words(&record.radio),
         power_dbm: record.base_station.power_per_re_dbm.0,
+        walls: WallCounts::of(&record, &grids),
     })
 }
 

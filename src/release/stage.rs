@@ -144,6 +144,8 @@ pub struct ReleaseJob<'a> {
     pub url: Option<&'a str>,
     /// Who made it.
     pub creators: &'a [String],
+    /// What they say of it, in Markdown: a section of the card.
+    pub notes: Option<&'a str>,
     /// The release before: the version must go as far from its as the changes ask for.
     pub previous: Option<&'a Path>,
     /// Whether to write an archive beside the directory, and the time that its files have.
@@ -239,6 +241,7 @@ fn published(dataset: &Dataset, job: &ReleaseJob<'_>) -> Result<DatasetManifest,
         date: job.date.map(|date| date.to_string()),
         url: job.url.map(str::to_owned),
         creators: job.creators.to_vec(),
+        notes: job.notes.map(str::to_owned),
         software: Software::this(),
         dataset_manifest_sha256: earlier
             .map_or_else(|| dataset.digest().sha256.clone(), |it| it.dataset_manifest_sha256),

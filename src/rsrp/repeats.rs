@@ -28,6 +28,8 @@ const STD_ERROR: &str = "_std_error";
 const FIRST_HALF: &str = "_first_half";
 /// Bounds are kept up to this, relative to the mean: float16 rounds decibels to 0.7 %.
 const TOLERANCE: f64 = 0.02;
+/// Relative error of a power whose level of some hundred decibels is a float32.
+const FLOAT32: f64 = 1e-5;
 
 /// Reads what lies in an archive beside the values of a map.
 pub(super) fn beside<R: Read + Seek>(
@@ -88,6 +90,12 @@ fn from_db(kind: ValueKind, over_mean: f64) -> f64 {
     Db(gain).to_linear()
 }
 
+/// A share between none and all. What is all but for the rounding of float32 decibels is all: the other
+/// half of the repeats then received nothing, which its own level would say.
+fn whole_share(share: f64) -> f64 {
+    if share > 1.0 - FLOAT32 { 1.0 } else { share.max(0.0) }
+}
+
 impl Repeats {
     /// What they tell of a reached cell. NaN where the arrays have it; not checked yet.
     fn raw(&self, map: &LoadedMap, at: (usize, usize), no_path: &impl Fn(f64) -> bool) -> Relative {
@@ -115,7 +123,7 @@ impl Repeats {
                 return Relative { std_error: 0.0, first_half };
             }
             let Relative { std_error, first_half } = self.raw(map, at, &is_no_path);
-            let first_half = first_half.map(|share| share.clamp(0.0, 1.0));
+            let first_half = first_half.map(whole_share);
             Relative { std_error: std_error.min(1.0), first_half }
         })
     }
@@ -230,4 +238,21 @@ pub(super) fn reliability(map: &AlignedMap, repeats: Option<u32>) -> Option<MapR
         median_std_error_db: rounded(median.unwrap_or(0.0).into(), 3),
         unsure: rounded(unsure as f64 / outdoors.max(1) as f64, 4),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// In decibels a half that received all lies 3.0103 dB above the mean, as float32 has it.
+    #[test]
+    fn all_of_the_power_is_all_in_decibels_too() {
+        for level in [-143.83_f32, -99.5, -160.01] {
+            let half = f64::from(level + 10.0 * 2.0_f32.log10());
+            let share = from_db(ValueKind::PathGainDb, half - f64::from(level)) / 2.0;
+            assert_eq!(whole_share(share).to_bits(), 1.0_f64.to_bits(), "{level}: {share}");
+        }
+        assert_eq!(whole_share(0.996).to_bits(), 0.996_f64.to_bits());
+        assert_eq!(whole_share(-1e-9).to_bits(), 0.0_f64.to_bits());
+    }
 }

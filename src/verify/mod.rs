@@ -2,10 +2,11 @@
 //!
 //! Works on the output of every stage. Checksums are the same everywhere; what a manifest tells of
 //! is read and compared with it by one check for each type of manifest: `tiles`, `scenes`,
-//! `rsrp`, `dataset`, `policy`, `evaluation`, `run`.
+//! `rsrp`, `dataset`, `export`, `policy`, `evaluation`, `run`.
 
 mod dataset;
 mod evaluation;
+mod export;
 mod failure;
 mod items;
 mod policy;
@@ -18,8 +19,8 @@ mod tiles;
 use std::path::Path;
 
 use crate::manifest::{
-    DatasetManifest, EvaluationManifest, Manifest, ManifestError, PolicyManifest, RsrpManifest,
-    RunManifest, ScenesManifest, TilesManifest, load, schema,
+    DatasetManifest, EvaluationManifest, ExportManifest, Manifest, ManifestError, PolicyManifest,
+    RsrpManifest, RunManifest, ScenesManifest, TilesManifest, load, schema,
 };
 use crate::progress::Progress;
 
@@ -59,6 +60,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Mani
             scenes::check(root, &load(root)?.0, progress, &mut failures)
         }
         Some(RsrpManifest::SCHEMA) => rsrp::check(root, &load(root)?.0, progress, &mut failures),
+        Some(ExportManifest::SCHEMA) => export::check(root, &load(root)?.0, &mut failures),
         Some(PolicyManifest::SCHEMA) => policy::check(root, &load(root)?.0, &mut failures),
         Some(EvaluationManifest::SCHEMA) => evaluation::check(root, &load(root)?.0, &mut failures),
         _ => {
