@@ -103,7 +103,7 @@ evaluate: $(OUT)/evaluation/$(SPLIT)/manifest.json
 	@echo "report: $(<D)/report.html"
 
 $(OUT)/evaluation/$(SPLIT)/manifest.json: $(OUT)/.verified
-	$(RUN) evaluate --dataset $(DATASET) --split $(SPLIT) --out $(@D) --overwrite
+	$(RUN) evaluate --dataset $(DATASET) --split $(SPLIT) --out $(@D) --overwrite $(EVALUATE_FLAGS)
 	@touch $@
 
 # A Q-network by Double DQN, from the last checkpoint on if there is one; then it is judged beside the other methods on
@@ -117,7 +117,7 @@ train: $(OUT)/.verified $(LIBTORCH)/.installed | tools-torch
 # The dataset of San Jose in this repository: verified, all methods judged on its test split. Its index.html shows the records.
 .PHONY: sanjose
 sanjose:
-	$(MAKE) evaluate DATASET=$(SANJOSE)
+	$(MAKE) evaluate DATASET=$(SANJOSE) EVALUATE_FLAGS='--starts 100'
 	@echo "records: $(SANJOSE)/index.html"
 
 # The same dataset once more from its inputs; the extract is not in the repository.

@@ -118,7 +118,7 @@ fn figures_follow_the_rules_of_the_task() {
     let precision = means(&report, "precision");
     let at = |method: &str, k| precision[&(method.to_owned(), k, starts)];
     let moving = ["g-rsp", "g-rsp-continuous", "shadow", "random-walk", "wall-walk", "oracle"];
-    for method in moving.into_iter().chain(["trees", "trees-told-bs", "leave-one-out"]) {
+    for method in moving.into_iter().chain(["trees", "belief", "trees-told-bs", "leave-one-out"]) {
         assert_eq!(at(method, 0), at("rsp", 0), "the same starts");
         for (k, more) in [(0, 1), (1, 2), (2, 4), (4, 8)] {
             assert!(at(method, k) <= at(method, more), "{method}: who found a hole stays there");
@@ -202,14 +202,14 @@ fn seeds_noise_and_stale_maps_matter_where_they_should() {
 fn what_learns_from_the_train_split_has_learned() {
     let dir = temporary_dir();
     let out = dir.path().join("out");
-    let methods = "wall-walk,trees,trees-told-bs,leave-one-out";
+    let methods = "wall-walk,trees,belief,trees-told-bs,leave-one-out";
     let mut command = holescout("evaluate");
     command.arg("--dataset").arg(&HELSINKI.dataset).arg("--out").arg(&out);
     command.args(["--split", "train", "--starts", "100", "--methods", methods]);
     run(&mut command).succeeds();
     let precision = means(&report(&out), "precision");
     let at = |method: &str| precision[&(method.to_owned(), 2, 100)];
-    for method in ["trees", "trees-told-bs", "leave-one-out"] {
+    for method in ["trees", "belief", "trees-told-bs", "leave-one-out"] {
         assert!(at(method) > at("wall-walk"), "{method}: {}", at(method));
     }
 }
@@ -226,9 +226,9 @@ fn without_anything_to_learn_from_what_learns_is_left_out_and_said_so() {
     let all = |options: &[&str]| {
         run(evaluate(&out, options).args(SMALL).args(threshold).arg("--config").arg(&floor))
     };
-    let methods = "rsp,trees,oracle,trees-told-bs,leave-one-out";
+    let methods = "rsp,trees,oracle,belief,trees-told-bs,leave-one-out";
     let refused = all(&["--methods", methods]).refused();
-    assert_says(&refused, &["trees, trees-told-bs, leave-one-out", "train split"]);
+    assert_says(&refused, &["trees, belief, trees-told-bs, leave-one-out", "train split"]);
     let (_, mend) = refused.split_once("--methods ").expect("a mend");
     assert_eq!(mend.trim(), "rsp,oracle");
     assert!(!out.exists(), "nothing is left");
@@ -238,7 +238,7 @@ fn without_anything_to_learn_from_what_learns_is_left_out_and_said_so() {
         .args(threshold)
         .arg("--config")
         .arg(&floor));
-    assert_says(&note.stderr, &["note: trees, trees-told-bs, leave-one-out are left out"]);
+    assert_says(&note.stderr, &["note: trees, belief, trees-told-bs, leave-one-out are left out"]);
     note.succeeds();
     let report = read(&out.join("report.json"));
     assert!(!String::from_utf8_lossy(&report).contains("\"trees\""));

@@ -66,6 +66,7 @@ fn artefacts() -> BTreeMap<&'static str, Vec<Value>> {
             "report.v1",
             [&EVALUATION, &OF_REPEATS].map(|it| read_json(&it.join("report.json"))).to_vec(),
         ),
+        ("export.v1", [&HELSINKI.dataset, &REPEATED.dataset].map(|it| export(it)).to_vec()),
         ("policy.v4", vec![policy()]),
         ("run.v1", vec![training()]),
     ])
@@ -100,11 +101,22 @@ fn policy() -> Value {
     })
 }
 
+/// The manifest of a dataset's export.
+fn export(dataset: &Path) -> Value {
+    let dir = temporary_dir();
+    let out = dir.path().join("out");
+    run(holescout("export").arg(dataset).arg("--parquet").arg(&out)).succeeds();
+    read_json(&out.join("manifest.json"))
+}
+
 /// A release of the fixtures, with all that may be said of one.
 static RELEASE: LazyLock<PathBuf> = LazyLock::new(|| {
     let out = shared_dir("schemas-release").join("out");
     let mut command = release(&HELSINKI.dataset, "1.0.0", &out);
+    let notes = shared_dir("schemas-notes").join("notes.md");
+    write(&notes, "What its makers say.\n");
     command.args(["--date", "2026-07-01", "--url", "https://example.org/", "--creator", "A"]);
+    command.arg("--notes").arg(notes);
     run(&mut command).succeeds();
     out
 });
@@ -314,6 +326,9 @@ fn tampered_values_do_not_validate() {
         ("report.v1", "/labels/ceiling/0/k", json!(-1)),
         ("report.v1", "/distances/0/cells", json!("many")),
         ("report.v1", "/schema", json!("report.v2")),
+        ("export.v1", "/columns/0/shape", json!("121 x 121")),
+        ("export.v1", "/files/0/split", json!("validation")),
+        ("export.v1", "/schema", json!("export.v2")),
         ("policy.v4", "/train/loss", json!("cubic")),
         ("policy.v4", "/cells", json!(-1)),
         ("policy.v4", "/schema", json!("policy.v1")),

@@ -119,6 +119,8 @@ pub enum Method {
     Trees,
     /// `trees-told-bs`: the same, told where the base station is.
     TreesToldBs,
+    /// `belief`: to where a hole is most likely by what is believed of the base station's place.
+    Belief,
     /// `agent`: a trained network, which must be given.
     Agent,
     /// `predictor`: to where that network finds a hole most likely, without planning.
@@ -129,7 +131,7 @@ impl Method {
     /// Whether it learns from the train split before it flies.
     #[must_use]
     pub fn learns(self) -> bool {
-        matches!(self, Self::Trees | Self::TreesToldBs | Self::LeaveOneOut)
+        matches!(self, Self::Trees | Self::TreesToldBs | Self::LeaveOneOut | Self::Belief)
     }
 }
 
@@ -138,7 +140,7 @@ impl Method {
 #[error(
     "{0:?} is no method (expected rsp, bnp-<metres>, g-rsp, g-rsp-continuous, g-bnp-<metres>, \
      g-bnp-<metres>-continuous, shadow, random-walk, wall-walk, oracle, leave-one-out, trees, \
-     trees-told-bs, agent or predictor)"
+     trees-told-bs, belief, agent or predictor)"
 )]
 pub struct MethodError(pub String);
 
@@ -158,6 +160,7 @@ impl fmt::Display for Method {
             Self::LeaveOneOut => f.write_str("leave-one-out"),
             Self::Trees => f.write_str("trees"),
             Self::TreesToldBs => f.write_str("trees-told-bs"),
+            Self::Belief => f.write_str("belief"),
             Self::Agent => f.write_str("agent"),
             Self::Predictor => f.write_str("predictor"),
         }
@@ -179,6 +182,7 @@ impl FromStr for Method {
             "leave-one-out" => Some(Self::LeaveOneOut),
             "trees" => Some(Self::Trees),
             "trees-told-bs" => Some(Self::TreesToldBs),
+            "belief" => Some(Self::Belief),
             "agent" => Some(Self::Agent),
             "predictor" => Some(Self::Predictor),
             _ => with_distance(name),
@@ -222,7 +226,7 @@ impl JsonSchema for Method {
         schemars::json_schema!({
             "type": "string",
             "description": "Name of a method.",
-            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle|leave-one-out|trees(-told-bs)?|agent|predictor)$"
+            "pattern": "^(rsp|bnp-[0-9]+|g-rsp(-continuous)?|g-bnp-[0-9]+(-continuous)?|shadow|random-walk|wall-walk|oracle|leave-one-out|trees(-told-bs)?|belief|agent|predictor)$"
         })
     }
 }
@@ -272,6 +276,7 @@ impl Default for EvaluateConfig {
                 Method::RandomWalk,
                 Method::WallWalk,
                 Method::Trees,
+                Method::Belief,
                 Method::TreesToldBs,
                 Method::LeaveOneOut,
                 Method::Oracle,

@@ -98,6 +98,14 @@ pub(super) fn info(method: Method, config: &EvaluateConfig) -> MethodInfo {
              learned from the train split: a ceiling for interpolation."
                 .to_owned(),
         ),
+        Method::Belief => (
+            "Belief".into(),
+            Knows::Measurements,
+            "To where a hole is most likely by what the measurements say of the base station's place: \
+             candidates weighed by Bayes' rule with a model of propagation that was fitted on the train \
+             split; no network, no planning."
+                .to_owned(),
+        ),
         Method::Agent => (
             "Agent".into(),
             Knows::Measurements,
@@ -170,7 +178,9 @@ pub(super) fn policy<'a>(
         }
         Method::WallWalk => Box::new(WallWalk::new(known)),
         Method::Oracle => Box::new(OptimalWay::new(hops())),
-        Method::Trees | Method::TreesToldBs | Method::LeaveOneOut => fitted.policy(method, known),
+        Method::Trees | Method::TreesToldBs | Method::LeaveOneOut | Method::Belief => {
+            fitted.policy(method, known)
+        }
         Method::Agent => agent.expect("checked before anything flies").policy(known),
         Method::Predictor => {
             let predictor = agent.and_then(MakePolicy::predictor);

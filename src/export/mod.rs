@@ -14,9 +14,7 @@ use crate::manifest::{
     to_json,
 };
 use crate::progress::Progress;
-use crate::store::{
-    Build, BuildMode, Digest, Item, Items, Opened, OutputError, Parallel, Part as BuildPart,
-};
+use crate::store::{Build, BuildMode, Digest, Item, Items, Opened, OutputError, Parallel};
 use table::Table;
 
 pub(crate) use table::{Shape, read_shape};
@@ -28,7 +26,7 @@ const RECORDS_PER_FILE: usize = 1024;
 /// Why there is no export.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum ExportError {
+pub enum ExportDatasetError {
     /// The dataset cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -37,7 +35,7 @@ pub enum ExportError {
     Output(#[from] OutputError),
 }
 
-impl HasFault for ExportError {
+impl HasFault for ExportDatasetError {
     fn fault(&self) -> Fault {
         match self {
             Self::Read(error) => error.fault(),
@@ -46,7 +44,7 @@ impl HasFault for ExportError {
     }
 }
 
-impl From<FileError> for ExportError {
+impl From<FileError> for ExportDatasetError {
     fn from(error: FileError) -> Self {
         Self::Output(error.into())
     }
@@ -64,7 +62,7 @@ pub struct ExportJob<'a> {
 }
 
 /// A file of the plan.
-struct Part {
+struct ExportPart {
     file: String,
     split: Split,
     ids: Vec<TileId>,
@@ -74,19 +72,22 @@ struct Part {
 /// names. The same dataset gives the same bytes; a run that was killed goes on where it was.
 ///
 /// # Errors
-/// [`ExportError`]; the directory has no manifest then.
-pub fn export(job: &ExportJob<'_>, progress: &dyn Progress) -> Result<ExportManifest, ExportError> {
+/// [`ExportDatasetError`]; the directory has no manifest then.
+pub fn export(
+    job: &ExportJob<'_>,
+    progress: &dyn Progress,
+) -> Result<ExportManifest, ExportDatasetError> {
     let dataset = job.dataset;
     let manifest = dataset.manifest();
     let table = Table::new(manifest.cells, reliability_of(manifest).is_some());
     let columns: Vec<ExportColumn> = table.entries();
     let fingerprint = fingerprint(&("export", dataset.digest(), &columns));
-    let mode = BuildMode { part: BuildPart::Whole, overwrite: job.overwrite };
+    let mode = BuildMode { overwrite: job.overwrite, ..BuildMode::default() };
     let build = match Build::open(job.out, "export", &fingerprint, mode, progress)? {
         Opened::Done(built) => return Ok(built.whole().expect("it is no task")),
         Opened::Ready(build) => build,
     };
-    let write = |part: &Part, item: Item<'_>| -> Result<_, ExportError> {
+    let write = |part: &ExportPart, item: Item<'_>| -> Result<_, ExportDatasetError> {
         let bytes = table.write(dataset, &part.ids)?;
         let (split, records) = (part.split, part.ids.len() as u32);
         let entry = |digests: &[Digest]| {
@@ -96,7 +97,7 @@ pub fn export(job: &ExportJob<'_>, progress: &dyn Progress) -> Result<ExportMani
         Ok(item.finish(&[(&part.file, &bytes)], entry)?)
     };
     let how = ("exporting", Parallel::Across);
-    let key = |part: &Part| part.file.clone();
+    let key = |part: &ExportPart| part.file.clone();
     let Items::All(files, output) = build.run_items(how, &parts(dataset), key, write, progress)?
     else {
         unreachable!("it is no task");
@@ -118,16 +119,16 @@ pub fn export(job: &ExportJob<'_>, progress: &dyn Progress) -> Result<ExportMani
 }
 
 /// Files of at most [`RECORDS_PER_FILE`] records, named as Hugging Face names those of a split.
-fn parts(dataset: &Dataset) -> Vec<Part> {
+fn parts(dataset: &Dataset) -> Vec<ExportPart> {
     let of_split = |split: Split| {
         let ids = dataset.ids_of(split);
         let count = ids.len().div_ceil(RECORDS_PER_FILE);
-        let parts: Vec<Part> = ids
+        let parts: Vec<ExportPart> = ids
             .chunks(RECORDS_PER_FILE)
             .enumerate()
             .map(|(number, ids)| {
                 let file = format!("{split}-{number:05}-of-{count:05}.parquet");
-                Part { file, split, ids: ids.to_vec() }
+                ExportPart { file, split, ids: ids.to_vec() }
             })
             .collect();
         parts

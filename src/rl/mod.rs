@@ -3,7 +3,7 @@
 //! Everything of the paper but the network, on records of a dataset: what blocks a move
 //! ([`Sight`], equation 3), how a UAV moves and what that is worth ([`Flight`], Algorithm 1 and
 //! Equation 13), what a network sees ([`Encoder`], equations 7 and 9), episodes
-//! of training ([`Environment`]), methods without a network ([`policy`]) and the exact
+//! of training ([`Environment`]), where the base station may stand ([`belief`]), methods without a network ([`policy`]) and the exact
 //! optimum ([`Hops`]). Nothing here needs libtorch.
 //!
 //! The paper is M. Rahman, İ. Güvenç, D. Ramirez and C.-W. Wong, *UAV-Assisted Coverage Hole Detection Using
@@ -27,6 +27,7 @@
 
 #[cfg(feature = "torch")]
 pub mod agent;
+pub mod belief;
 mod cell;
 mod centered_encoder;
 mod distance;

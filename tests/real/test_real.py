@@ -266,11 +266,12 @@ def test_sanjose_has_the_papers_orderings(sanjose: Path, tmp_path: Path) -> None
 
 
 def test_what_learns_from_the_train_split_beats_walls_and_is_ordered_by_what_it_knows(sanjose: Path, tmp_path: Path) -> None:
-    options = ["--methods", "wall-walk,trees,trees-told-bs,leave-one-out", "--starts", "20", "--steps", "2"]
+    options = ["--methods", "wall-walk,trees,belief,trees-told-bs,leave-one-out", "--starts", "20", "--steps", "2"]
     summary = holescout("evaluate", "--dataset", sanjose / "dataset", "--out", tmp_path / "evaluation", *options)
     precision = {score["method"]: score["precision"]["mean"] for score in summary["scores"]}
     rising = [precision[method] for method in ("wall-walk", "trees", "trees-told-bs", "leave-one-out")]
     assert all(less + 0.02 < more for less, more in zip(rising, rising[1:], strict=False)), precision
+    assert precision["trees"] < precision["belief"] < precision["trees-told-bs"], precision
 
 
 def test_neighbourhoods_find_no_more_than_they_hold(sanjose: Path, tmp_path: Path) -> None:

@@ -1,5 +1,9 @@
-"""Packs of traced maps keep levels and errors to the hundredth of a decibel, and the packs of the repository are whole."""
+"""Packs of traced maps keep levels and errors to the hundredth of a decibel, and so does the dataset that is made of maps.
 
+The packs and the dataset of the repository are whole.
+"""
+
+import hashlib
 import json
 import sys
 from pathlib import Path
@@ -11,6 +15,11 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "pipeline"))
 import map_packs  # noqa: E402: a program of the pipeline
 
+sys.path.insert(0, str(ROOT / "examples"))
+import read_shards  # noqa: E402
+
+DATASET = ROOT / "datasets/sanjose-0.1.0"
+ABOUT = ROOT / "datasets/sanjose-maps/about.xz"
 PACKS = sorted((ROOT / "datasets/sanjose-maps").glob("*.xz"))
 
 
@@ -75,6 +84,24 @@ def test_packs_of_the_repository_are_small_and_agree(path: Path) -> None:
     assert len({about["scene_sha256"] for about in metadata}) == len(metadata)
 
 
-def test_no_tile_is_packed_twice() -> None:
-    ids = [about["location_id"] for path in PACKS for about in map_packs.metadata_of(map_packs.read_pack(path))]
-    assert PACKS and len(ids) == len(set(ids))
+def test_no_tile_is_kept_twice() -> None:
+    packed = [about["location_id"] for path in PACKS for about in map_packs.metadata_of(map_packs.read_pack(path))]
+    ids = packed + [record["id"] for record in read_shards.records(DATASET)]
+    assert len(ids) == len(set(ids)) >= 123
+
+
+def test_the_maps_of_the_dataset_come_back_to_the_byte(tmp_path: Path) -> None:
+    recorded = {record["id"]: record["provenance"]["radio_map"]["digest"] for record in read_shards.records(DATASET)}
+    assert map_packs.unpack(DATASET, tmp_path, ABOUT) == len(recorded)
+    for name, digest in recorded.items():
+        content = (tmp_path / f"{name}.npz").read_bytes()
+        assert {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()} == digest, name
+
+
+def test_a_dataset_of_other_maps_is_refused(tmp_path: Path) -> None:
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    traced(maps, "elsewhere", 1)
+    assert map_packs.describe(maps, tmp_path / "about.xz") == 1
+    with pytest.raises(SystemExit, match="is not among the maps of .*about.xz: give the file"):
+        map_packs.unpack(DATASET, tmp_path / "out", tmp_path / "about.xz")

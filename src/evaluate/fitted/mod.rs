@@ -1,10 +1,11 @@
 //! Baselines that learn from the train split before anything flies, so that every report can have them: boosted
 //! trees that predict P(hole) as an agent does but without a network or planning, the same told where the
-//! base station is, and a table of what surrounds holes.
+//! base station is, a model of propagation for a belief about where it stands, and a table of what surrounds holes.
 //!
 //! The two that are told more than a UAV knows are ceilings: for what finding the base station can bring,
 //! and for what interpolating levels can.
 
+mod belief;
 mod columns;
 mod moves;
 mod neighbours;
@@ -12,6 +13,7 @@ mod samples;
 mod surroundings;
 mod trees;
 
+use self::belief::ByBelief;
 use self::neighbours::Neighbours;
 use self::samples::Samples;
 pub use self::trees::FitError;
@@ -19,6 +21,7 @@ use self::trees::Trees;
 use crate::config::{Config, EvaluateConfig, Method, Split};
 use crate::dataset::Dataset;
 use crate::progress::Progress;
+use crate::rl::belief::Propagation;
 use crate::rl::policy::Policy;
 use crate::rl::{Sight, World, load_sample};
 
@@ -31,6 +34,7 @@ pub(super) struct Fitted {
     trees: Option<Trees>,
     told: Option<Trees>,
     neighbours: Option<Neighbours>,
+    propagation: Option<Propagation>,
 }
 
 impl Fitted {
@@ -59,7 +63,11 @@ impl Fitted {
             let samples = samples.as_ref().filter(|_| wanted);
             samples.map(|samples| Trees::fit(samples, told)).transpose()
         };
+        let propagation = wants(Method::Belief)
+            .then(|| Propagation::fit(&maps).ok_or(FitError::NoStation))
+            .transpose()?;
         let fitted = Self {
+            propagation,
             trees: trees(plain, false)?,
             told: trees(told, true)?,
             neighbours: wants(Method::LeaveOneOut).then(|| Neighbours::fit(&maps)),
@@ -76,6 +84,9 @@ impl Fitted {
         let fitted = "fitted before anything flies";
         match method {
             Method::LeaveOneOut => Box::new(self.neighbours.as_ref().expect(fitted).policy(known)),
+            Method::Belief => {
+                Box::new(ByBelief::new(self.propagation.as_ref().expect(fitted), known))
+            }
             Method::TreesToldBs => Box::new(self.told.as_ref().expect(fitted).policy(known)),
             _ => Box::new(self.trees.as_ref().expect(fitted).policy(known)),
         }

@@ -27,6 +27,9 @@ pub enum FitError {
          other cells"
     )]
     NothingToFit,
+    /// No base station stands on its map.
+    #[error("no base station of its maps stands on its map, so that nothing tells where they do")]
+    NoStation,
     /// Its maps cannot be had.
     #[error(transparent)]
     Maps(#[from] PoolError),
