@@ -299,6 +299,7 @@ test-real: $(BIN) $(VENV)/.installed llvm
 	cargo build --locked --features remote --example utm_points
 	$(PYTHON) fixtures/geometry/make_pbf.py --check
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(SIONNA)/bin/python $(REAL)/sionna_scenes.py
+	$(MAKE) sanjose-rebuild
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATA=$(abspath $(DATA)) $(PYTHON) -m pytest -q $(REAL)
 
 $(VENV)/.installed: $(addprefix tests/,$(addsuffix /requirements.txt,real report torch release remote))
