@@ -79,7 +79,8 @@
 //! 8. [`rl`]: the task on a record, policies, the exact optimum
 //! 9. [`evaluate`]: precision and recall of policies, with intervals, and the report
 //! 10. `train` (feature `torch`): runs that learn an agent
-//! 11. [`release`]: datasets that are published, and what changes from one to the next
+//! 11. [`release`], [`export`]: datasets that are published, and what changes from one to the next;
+//!     datasets in a format of others
 //! 12. [`verify`]: whether an output is what its manifest says
 //! 13. [`rebuild`]: an output once more from its recorded inputs
 //!
