@@ -109,12 +109,13 @@ def test_datasets_reads_the_directory(exported: tuple[Path, Path]) -> None:
         assert (record[key].reshape(side, side) == expected[key]).all()
 
 
-def test_the_lines_of_the_readme_run(exported: tuple[Path, Path]) -> None:
+def test_the_lines_of_the_readme_run(exported: tuple[Path, Path], tmp_path: Path) -> None:
     _, out = exported
+    offline = os.environ | {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path)}
     snippets = re.findall(r"```python\n(.*?)```", (out / "README.md").read_text(), re.DOTALL)
     assert len(snippets) == 2
     for snippet in snippets:
-        subprocess.run([sys.executable, "-c", snippet], cwd=out, check=True, env=os.environ | {"HF_HUB_OFFLINE": "1"})
+        subprocess.run([sys.executable, "-c", snippet], cwd=out, check=True, env=offline)
 
 
 def test_pandas_needs_no_shapes_but_those_of_the_manifest(exported: tuple[Path, Path]) -> None:
