@@ -82,7 +82,7 @@ def test_what_the_repository_keeps_is_small_and_agrees() -> None:
         kept += packed
     assert {about["licence"] for about in kept} == {"ODbL-1.0"}
     # One setting, and each map with the scene that it was traced from.
-    same = ["max_depth", "diffraction", "refraction", "sionna_version", "materials", "osm_sha256", "wedge_table"]
+    same = ["repeats", "max_depth", "diffraction", "refraction", "sionna_version", "materials", "osm_sha256", "wedge_table"]
     assert len({json.dumps([about[key] for key in same], sort_keys=True) for about in kept}) == 1
     assert all(about["samples_per_tx"] <= 12_500_000 for about in kept), "fewer where a few reach the farthest cell"
     assert len({about["scene_sha256"] for about in kept}) == len(kept)
