@@ -5,29 +5,32 @@ use super::report::DistanceFigures;
 use crate::rl::{Cell, World, wall_distances_m};
 
 /// Where classes of distances begin, in metres; each ends where the next one begins.
-const FROM_M: [f64; 11] = [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 32.0, 48.0, 64.0, 96.0];
+pub(super) const FROM_M: [f64; 11] =
+    [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 32.0, 48.0, 64.0, 96.0];
 
 /// Outdoor cells of a map in one class of distances.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct DistanceCount {
-    pub(super) cells: u64,
-    pub(super) holes: u64,
+pub(crate) struct DistanceCount {
+    pub(crate) cells: u64,
+    pub(crate) holes: u64,
     /// Sum of the chances to be a hole, if the map tells.
-    pub(super) expected: Option<f64>,
+    pub(crate) expected: Option<f64>,
 }
 
-/// Counts the outdoor cells of a map by class; none if it has no wall.
-pub(super) fn by_distance(
+/// Counts the outdoor cells of a map by classes of distances, which begin at `from_m` (the first at 0); none if it
+/// has no wall.
+pub(crate) fn by_distance(
     world: &World,
     outdoors: &[Cell],
+    from_m: &[f64],
     chance: Option<&dyn Fn(Cell) -> f64>,
 ) -> Vec<DistanceCount> {
     let Some(distances) = wall_distances_m(world) else { return Vec::new() };
     let empty = DistanceCount { expected: chance.map(|_| 0.0), ..DistanceCount::default() };
-    let mut counts = vec![empty; FROM_M.len()];
+    let mut counts = vec![empty; from_m.len()];
     for &cell in outdoors {
         let distance = distances[world.index(cell)];
-        let class = FROM_M.partition_point(|&from| from <= distance) - 1;
+        let class = from_m.partition_point(|&from| from <= distance) - 1;
         let count = &mut counts[class];
         count.cells += 1;
         count.holes += u64::from(world.is_hole(cell));
@@ -71,12 +74,12 @@ mod tests {
     fn cells_and_holes_are_counted_by_their_distance() {
         let world = world("o...o\n.....\n.o#o.\n.....\n.....", 2);
         let outdoors: Vec<Cell> = world.free_cells();
-        let counts = by_distance(&world, &outdoors, None);
+        let counts = by_distance(&world, &outdoors, &FROM_M, None);
         let of = |at: usize| (counts[at].cells, counts[at].holes);
         assert_eq!([of(0), of(1), of(2), of(3)], [(8, 2), (12, 0), (4, 2), (0, 0)]);
         assert_eq!(counts[0].expected, None);
         let chance = |_: Cell| 0.25;
-        let counts = by_distance(&world, &outdoors, Some(&chance));
+        let counts = by_distance(&world, &outdoors, &FROM_M, Some(&chance));
         assert_eq!([counts[1].expected, counts[3].expected], [Some(3.0), Some(0.0)]);
         let figures = figures(&[&counts, &[]], &Bootstrap::new(2, 100, 1));
         assert_eq!((figures[2].from_m, figures[2].to_m, figures[10].to_m), (8.0, Some(12.0), None));

@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use super::buildings::{Buildings, buildings};
-use super::distance::{DistanceCount, by_distance};
+use super::distance::{DistanceCount, FROM_M, by_distance};
 use super::labels::{Labels, LabelsOnMap, is_sure, is_sure_hole};
 use super::methods::{self, Flying};
 use super::report::Difficulty;
@@ -160,7 +160,7 @@ pub(super) fn evaluate(scene: &Scene, flying: Flying<'_>) -> MapResult {
         outdoor_cells: outdoors.len() as u64,
         hole_cells: truth.hole_cells() as u64,
         buildings: buildings(truth),
-        distances: by_distance(truth, &outdoors, chance.as_ref().map(|it| it as _)),
+        distances: by_distance(truth, &outdoors, &FROM_M, chance.as_ref().map(|it| it as _)),
         labels: on_map,
         difficulty: difficulty(scene.hops(sight), &outdoors),
         methods: methods.collect(),

@@ -24,6 +24,7 @@ mod tables;
 mod track;
 
 pub(crate) use chart::{LineChart, Point, Series, svg_to_png};
+pub(crate) use distance::{DistanceCount, by_distance};
 pub use fitted::FitError;
 pub use report::{
     CeilingScore, DatasetUsed, Difference, Difficulty, DistanceFigures, FlightFigures, Group,

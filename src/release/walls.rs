@@ -4,14 +4,15 @@ use std::fmt::Write;
 
 use crate::config::RlConfig;
 use crate::dataset::{Grids, Record};
-use crate::rl::{World, wall_distances_m};
+use crate::evaluate::{DistanceCount, by_distance};
+use crate::rl::{Cell, World};
 
 /// Where classes of distances begin, in metres; each ends where the next one begins.
 const FROM_M: [f64; 6] = [0.0, 4.0, 8.0, 16.0, 32.0, 64.0];
 
 /// Outdoor cells in each class, and those of them that are holes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct WallCounts([(u64, u64); FROM_M.len()]);
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct WallCounts([DistanceCount; FROM_M.len()]);
 
 impl WallCounts {
     /// Those of a record; none if it has no wall.
@@ -22,20 +23,17 @@ impl WallCounts {
 
     fn in_world(world: &World) -> Self {
         let mut counts = Self::default();
-        let Some(distances) = wall_distances_m(world) else { return counts };
-        for cell in world.free_cells().into_iter().filter(|&cell| world.is_outdoors(cell)) {
-            let distance = distances[world.index(cell)];
-            let (cells, holes) =
-                &mut counts.0[FROM_M.partition_point(|&from| from <= distance) - 1];
-            *cells += 1;
-            *holes += u64::from(world.is_hole(cell));
-        }
+        let outdoors: Vec<Cell> =
+            world.free_cells().into_iter().filter(|&cell| world.is_outdoors(cell)).collect();
+        let found = by_distance(world, &outdoors, &FROM_M, None);
+        counts.0.iter_mut().zip(found).for_each(|(count, found)| *count = found);
         counts
     }
 
     pub(super) fn add(&mut self, more: &Self) {
-        for (sum, (cells, holes)) in self.0.iter_mut().zip(more.0) {
-            *sum = (sum.0 + cells, sum.1 + holes);
+        for (sum, more) in self.0.iter_mut().zip(more.0) {
+            sum.cells += more.cells;
+            sum.holes += more.holes;
         }
     }
 
@@ -44,7 +42,7 @@ impl WallCounts {
         let mut text = String::from(
             "| distance to the nearest wall | outdoor cells | coverage holes |\n|---|---|---|\n",
         );
-        for (class, &(cells, holes)) in self.0.iter().enumerate() {
+        for (class, &DistanceCount { cells, holes, .. }) in self.0.iter().enumerate() {
             let (from, to) = (FROM_M[class], FROM_M.get(class + 1));
             let distances = match to {
                 Some(to) => format!("{from} to {to} m"),
@@ -71,7 +69,8 @@ mod tests {
     #[test]
     fn cells_and_holes_are_counted_by_their_distance() {
         let one = WallCounts::in_world(&world("o...o\n.....\n.o#o.\n.....\n.....", 2));
-        assert_eq!(one.0[..3], [(8, 2), (12, 0), (4, 2)]);
+        let counts = one.0.map(|count| (count.cells, count.holes));
+        assert_eq!(counts[..3], [(8, 2), (12, 0), (4, 2)]);
         let mut both = one;
         both.add(&one);
         let table = both.table();

@@ -38,6 +38,12 @@ impl Cell {
     pub fn reach(self) -> i32 {
         self.row.abs().max(self.column.abs())
     }
+
+    /// The square of the straight distance, in cells.
+    #[must_use]
+    pub fn squared_length(self) -> i32 {
+        self.row * self.row + self.column * self.column
+    }
 }
 
 impl std::ops::Add for Cell {

@@ -67,6 +67,9 @@ fn covered(map: &World) -> Vec<u32> {
 }
 
 impl Environment {
+    /// So many episodes are stepped by one thread: others would not be awake before it is done.
+    pub const ALONE: usize = 64;
+
     /// `slots` episodes at a time.
     #[must_use]
     pub fn new(maps: &MapList, slots: usize, max_steps: u32, seed: u64) -> Self {
@@ -141,6 +144,12 @@ impl Environment {
         }
     }
 
+    /// Ends all episodes where they are; the next ones begin.
+    pub fn restart(&mut self, maps: &MapList) {
+        let Self { seed, sight, starts, slots, .. } = self;
+        slots.iter_mut().for_each(|slot| slot.begin(*seed, sight, maps, starts));
+    }
+
     /// What a checkpoint must keep.
     #[must_use]
     pub fn save(&self) -> Vec<EpisodeState> {
@@ -171,7 +180,7 @@ impl Environment {
         true
     }
 
-    /// One step of all episodes, in parallel. Those that end begin anew at once: the state is
+    /// One step of all episodes, in parallel if there are more than [`Environment::ALONE`]. Those that end begin anew at once: the state is
     /// then that of the next episode.
     ///
     /// # Panics
@@ -179,12 +188,13 @@ impl Environment {
     pub fn step(&mut self, maps: &MapList, actions: &[usize]) -> Vec<Outcome> {
         assert_eq!(actions.len(), self.slots.len(), "an action for each episode");
         let Self { seed, max_steps, sight, starts, slots } = self;
-        slots
-            .par_iter_mut()
-            .zip(actions)
-            .with_min_len(64)
-            .map(|(slot, &action)| slot.step(action, *seed, *max_steps, sight, maps, starts))
-            .collect()
+        let step = |(slot, &action): (&mut Slot, &usize)| {
+            slot.step(action, *seed, *max_steps, sight, maps, starts)
+        };
+        if slots.len() <= Self::ALONE {
+            return slots.iter_mut().zip(actions).map(step).collect();
+        }
+        slots.par_iter_mut().zip(actions).with_min_len(Self::ALONE).map(step).collect()
     }
 }
 
@@ -290,6 +300,14 @@ mod tests {
         for at in 7..30 {
             assert_eq!(step(&mut saved, at), step(&mut restored, at));
         }
+    }
+
+    #[test]
+    fn restarted_episodes_are_those_after_the_ones_before() {
+        let ((maps, mut restarted), (_, mut ended)) = (environment(3), environment(3));
+        restarted.restart(&maps);
+        (0..3).for_each(|_| drop(ended.step(&maps, &[12; 3])));
+        assert_eq!(restarted.save(), ended.save(), "a limit of three steps");
     }
 
     #[test]

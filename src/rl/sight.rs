@@ -52,6 +52,23 @@ impl ActionSet {
         flags
     }
 
+    /// Writes 1 for each action that is in the set, 0 for the others.
+    ///
+    /// # Panics
+    /// If there are more flags than actions, rounded up to words.
+    pub fn write_flags(&self, flags: &mut [u8]) {
+        let bytes = self.words.iter().flat_map(|word| word.to_le_bytes());
+        let (eights, rest) = flags.as_chunks_mut::<8>();
+        let mut bytes = bytes.take(eights.len() + 1);
+        for (eight, byte) in eights.iter_mut().zip(&mut bytes) {
+            *eight = SPREAD[usize::from(byte)];
+        }
+        if !rest.is_empty() {
+            let byte = bytes.next().expect("as many actions as flags");
+            rest.copy_from_slice(&SPREAD[usize::from(byte)][..rest.len()]);
+        }
+    }
+
     /// The moves to cells that were not visited, which are known to be no holes; all moves if no
     /// others are left over. The UAV is in the cell visited last.
     #[must_use]
@@ -80,6 +97,17 @@ impl ActionSet {
         None
     }
 }
+
+/// The bits of a byte, the lowest first.
+const SPREAD: [[u8; 8]; 256] = {
+    let mut spread = [[0; 8]; 256];
+    let mut at = 0;
+    while at < 256 * 8 {
+        spread[at / 8][at % 8] = (at / 8 >> (at % 8) & 1) as u8;
+        at += 1;
+    }
+    spread
+};
 
 /// The positions of the ones in a word, rising.
 struct Ones(u64);
@@ -228,6 +256,20 @@ mod tests {
         );
         assert!(open(map, Cell::new(0, 0), Cell::new(3, 0)), "beside it");
         assert!(open(map, Cell::new(3, 3), Cell::new(3, 3)), "to stay");
+    }
+
+    /// 9, 25, 49 ... actions: bytes that are not full, and several words.
+    #[test]
+    fn flags_are_those_of_the_set_for_any_number_of_actions() {
+        for reach in 1..6 {
+            let world = world(".....\n.#.#.\n.....\n..#..\n.....", reach);
+            let sight = Sight::new(reach);
+            let set = sight.permissible(&world, Cell::new(2, 2));
+            let mut flags = vec![9; sight.actions().count()];
+            set.write_flags(&mut flags);
+            let expected: Vec<u8> = (0..flags.len()).map(|at| set.contains(at).into()).collect();
+            assert_eq!(flags, expected, "{reach}");
+        }
     }
 
     #[test]

@@ -71,7 +71,7 @@ mod tests {
             let image: Vec<Cell> = cells.iter().map(|&cell| Symmetry::new(n).of(cell, 3)).collect();
             for (a, &a_image) in cells.iter().zip(&image) {
                 for (b, &b_image) in cells.iter().zip(&image) {
-                    let squared = |by: Cell| by.row * by.row + by.column * by.column;
+                    let squared = Cell::squared_length;
                     assert_eq!(squared(*a - *b), squared(a_image - b_image));
                 }
             }

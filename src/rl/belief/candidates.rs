@@ -79,13 +79,9 @@ impl Candidates {
                 for column in (0..world.cells()).step_by(side) {
                     let of_kind = square(world, (row, column), side, on_roof);
                     let middle = Cell::new((row + side / 2) as i32, (column + side / 2) as i32);
-                    let squared = |cell: Cell| {
-                        let by = cell - middle;
-                        by.row * by.row + by.column * by.column
-                    };
-                    let Some(&at) = of_kind.iter().min_by_key(|&&cell| squared(cell)) else {
-                        continue;
-                    };
+                    let nearest =
+                        of_kind.iter().min_by_key(|&&cell| (cell - middle).squared_length());
+                    let Some(&at) = nearest else { continue };
                     let up_m = if on_roof {
                         world.heights()[world.index(at)] + placement.over_roof_m
                     } else {

@@ -100,12 +100,9 @@ impl<'a> Belief<'a> {
 
     /// The measurement that is nearest to a cell, the last of equals, and how similar residuals are there.
     fn nearest(&self, cell: Cell) -> Option<(usize, f32)> {
-        let squared = |other: Cell| {
-            let by = cell - other;
-            by.row * by.row + by.column * by.column
-        };
         let measured = self.measured.iter().enumerate().rev();
-        let (which, &other) = measured.min_by_key(|(_, other)| squared(**other))?;
+        let (which, &other) =
+            measured.min_by_key(|&(_, &other)| (cell - other).squared_length())?;
         Some((which, self.model.similarity(cell - other)))
     }
 }

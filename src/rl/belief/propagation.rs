@@ -183,8 +183,7 @@ impl Propagation {
 
     /// Correlation of the residuals of two cells.
     pub(super) fn similarity(&self, by: Cell) -> f32 {
-        let squared = by.row * by.row + by.column * by.column;
-        let distance = libm::round(libm::sqrt(f64::from(squared))) as usize;
+        let distance = libm::round(libm::sqrt(f64::from(by.squared_length()))) as usize;
         self.similarity.get(distance).copied().unwrap_or_default()
     }
 

@@ -85,7 +85,7 @@ impl Shadows {
 
 /// Distance in cells.
 fn length(by: Cell) -> f32 {
-    ((by.row * by.row + by.column * by.column) as f32).sqrt()
+    (by.squared_length() as f32).sqrt()
 }
 
 /// How many of some rising limits a value has reached.

@@ -42,10 +42,7 @@ impl ShadowSeeker {
         let fresh = |cell: Cell| {
             flight.measurements().iter().all(|seen| (seen.cell - cell).reach() > SEARCHED)
         };
-        let squared = |a: Cell, b: Cell| {
-            let by = a - b;
-            by.row * by.row + by.column * by.column
-        };
+        let squared = |a: Cell, b: Cell| (a - b).squared_length();
         let permissible = view.permissible();
         let reachable = || permissible.iter().map(|action| from + actions.offset(action));
         let hidden = reachable()

@@ -87,7 +87,7 @@ impl Policy for OptimalWay<'_> {
             let moves = view.flight.permissible().iter().map(|action| actions.offset(action));
             let best = moves
                 .filter(|&by| self.hops.from(from + by) == Some(nearer))
-                .min_by_key(|by| by.row * by.row + by.column * by.column)
+                .min_by_key(|by| by.squared_length())
                 .expect("a cell of n hops is next to one of n - 1");
             (from + best).center()
         })
