@@ -9,6 +9,7 @@
 #   make train [UPDATES=n]       a Q-network on the dataset: OUT/run, OUT/evaluation/agent/report.html
 #   make evaluate DATASET=dir    and `make train DATASET=dir`: the same on a dataset that is there
 #   make sanjose                 all methods on the dataset of San Jose in this repository
+#   make wheel                   the Python package, with the command: dist/holescout-*.whl
 #   make test                    everything that needs no large data
 #   make test-real DATA=dir      against GDAL, PROJ and whole cities
 #   make fuzz [FUZZ_SECONDS=60]  the readers of other people's files, each target so long
@@ -42,6 +43,7 @@ PYTHON := $(VENV)/bin/python
 REAL := tests/real
 LIBTORCH := $(CURDIR)/.libtorch
 SIONNA := .venv-sionna
+PACKAGE := .venv-python
 TORCH := LIBTORCH=$(LIBTORCH)
 
 # A virtual environment; python3-venv is installed where that is possible without asking.
@@ -54,7 +56,7 @@ RUN = $(BIN) $(if $(CONFIG),--config $(CONFIG))
 
 .PHONY: help
 help:
-	@sed -n '3,14s/^# *//p' Makefile
+	@sed -n '3,18s/^# *//p' Makefile
 
 ## The pipeline -----------------------------------------------------------------
 
@@ -204,6 +206,31 @@ llvm: $(SIONNA)/.installed
 	    apt-get update -qq && apt-get install -qqy --no-install-recommends $(LIBLLVM); \
 	  else echo "LLVM 19 is missing: install $(LIBLLVM), or set DRJIT_LIBLLVM_PATH to libLLVM.so of 19 or newer" >&2; exit 1; fi; }
 
+## Python -----------------------------------------------------------------------
+
+# The package for Python: library and command. One wheel serves CPython 3.10 and newer.
+.PHONY: wheel
+wheel: $(PACKAGE)/.installed | tools
+	cargo build --release --locked --features remote
+	install -D target/release/holescout python/holescout.data/scripts/holescout
+	rm -rf dist
+	$(PACKAGE)/bin/maturin build --quiet --release --locked --manifest-path python/Cargo.toml --out dist
+	@ls dist/*.whl
+
+$(PACKAGE)/.installed: tests/python/requirements.txt tests/python/torch-requirements.txt tests/torch/requirements.txt
+	$(call venv,$(PACKAGE))
+	$(PACKAGE)/bin/pip install -q -r tests/python/requirements.txt -r tests/torch/requirements.txt
+	@# These ask for PyTorch, which is there as libtorch.
+	$(PACKAGE)/bin/pip install -q --no-deps -r tests/python/torch-requirements.txt
+	@touch $@
+
+# PyTorch's wheel is that of libtorch, beside empty libraries in the place of CUDA's.
+STUBS := $(LIBTORCH)/stubs/.installed
+$(STUBS): tests/torch/stub_cuda.py $(LIBTORCH)/.installed | $(VENV)/.installed
+	$(PYTHON) $< $(LIBTORCH)/wheels $(@D)
+	@touch $@
+WITH_TORCH := PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib
+
 ## Checks -----------------------------------------------------------------------
 
 .PHONY: check
@@ -212,12 +239,14 @@ check: fmt-check lint doc schema-check
 .PHONY: fmt-check
 fmt-check: | tools
 	cargo fmt --check
+	cargo fmt --check --package holescout-python
 	cargo fmt --check --manifest-path fuzz/Cargo.toml
 
 .PHONY: lint
 lint: | tools
 	cargo clippy --locked --all-targets --features remote -- -D warnings
 	cargo clippy --locked --lib --bins -- -D warnings
+	cargo clippy --locked --package holescout-python -- -D warnings
 	@# Each feature alone: what others bring along is not taken for granted.
 	for features in '' build report remote; do \
 	  cargo clippy --locked --lib --no-default-features --features "$$features" -- -D warnings || exit 1; done
@@ -237,7 +266,7 @@ schema-check: $(BIN)
 	$(BIN) schemas --out schemas --check
 
 .PHONY: test
-test: test-rust test-torch test-report test-release test-remote
+test: test-rust test-torch test-report test-release test-remote test-python
 
 .PHONY: test-rust
 test-rust: | tools
@@ -246,13 +275,12 @@ test-rust: | tools
 # What needs libtorch, with the other feature beside it: lints, unit tests, training end to end, losses and gradients against
 # PyTorch. The wheel of PyTorch is that of libtorch; empty libraries stand in for those of CUDA that it would ask for.
 .PHONY: test-torch
-test-torch: dataset $(LIBTORCH)/.installed | tools-torch
+test-torch: dataset $(STUBS) | tools-torch
 	$(TORCH) cargo clippy --locked --features torch,remote --all-targets -- -D warnings
 	$(TORCH) cargo test --locked --features torch,remote --lib -- rl::agent train::
 	$(TORCH) cargo test --locked --features torch,remote --test train --test runs
 	$(TORCH) cargo build --locked --features torch,remote --bin holescout --example ddqn_reference
-	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
-	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
+	$(WITH_TORCH) \
 	  HOLESCOUT=$(abspath target/debug/holescout) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset \
 	  DDQN_REFERENCE=$(abspath target/debug/examples/ddqn_reference) \
 	  $(PYTHON) -m pytest -q tests/torch
@@ -267,6 +295,16 @@ test-report: dataset $(VENV)/.installed | browser
 .PHONY: test-release
 test-release: dataset $(VENV)/.installed | browser
 	HOLESCOUT=$(abspath $(BIN)) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset CHROMIUM=$(CHROMIUM) $(PYTHON) -m pytest -q tests/release
+
+# The wheel as it is installed: its tests, the examples, and its types.
+.PHONY: test-python
+test-python: dataset wheel $(STUBS)
+	cargo build --locked --features remote --example trajectories
+	$(PACKAGE)/bin/pip install -q --no-deps --force-reinstall dist/*.whl
+	$(PACKAGE)/bin/ruff check -q python tests/python
+	$(PACKAGE)/bin/mypy --no-error-summary python/holescout
+	cd tests/python && $(WITH_TORCH) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset \
+	  TRAJECTORIES=$(abspath target/debug/examples/trajectories) $(abspath $(PACKAGE))/bin/python -m pytest -q .
 
 # Datasets on servers: HTTP and S3 on loopback, through connections that fail and change bytes.
 .PHONY: test-remote
@@ -377,13 +415,12 @@ bench-labels: $(BIN) llvm
 TRAINED ?= $(OUT)/dataset
 TRAIN_BENCH := target/release/train_bench
 .PHONY: bench-train
-bench-train: dataset $(LIBTORCH)/.installed | tools-torch
+bench-train: dataset $(STUBS) | tools-torch
 	cargo build --release --locked --example encode_states
 	$(TORCH) cargo bench --locked --features torch --bench train --no-run --message-format=json \
 	  | sed -n 's/.*"name":"train".*"executable":"\([^"]*\)".*/\1/p' | xargs -I{} cp {} $(TRAIN_BENCH)
 	$(TRAIN_BENCH) $(TRAINED)
-	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
-	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
+	$(WITH_TORCH) \
 	  HOLESCOUT_DATASET=$(abspath $(TRAINED)) TRAIN_BENCH=$(abspath $(TRAIN_BENCH)) \
 	  ENCODE_STATES=$(abspath target/release/examples/encode_states) $(PYTHON) benches/train_vs_pytorch.py
 
@@ -400,13 +437,21 @@ bench-learning: dataset $(LIBTORCH)/.installed | tools-torch
 LOADER_VENV := .venv-loader
 LOADER_BENCH := target/release/loader_bench
 .PHONY: bench-loader
-bench-loader: dataset $(LIBTORCH)/.installed $(LOADER_VENV)/.installed
+bench-loader: dataset wheel $(STUBS) $(LOADER_VENV)/.installed
+	$(LOADER_VENV)/bin/pip install -q --no-deps --force-reinstall dist/*.whl
 	cargo bench --locked --bench loader --no-run --message-format=json \
 	  | sed -n 's/.*"name":"loader".*"executable":"\([^"]*\)".*/\1/p' | xargs -I{} cp {} $(LOADER_BENCH)
-	$(PYTHON) tests/torch/stub_cuda.py $(LIBTORCH)/wheels $(LIBTORCH)/stubs
-	PYTHONPATH=$(LIBTORCH)/wheels LD_LIBRARY_PATH=$(LIBTORCH)/stubs:$(LIBTORCH)/wheels/nvidia/cu13/lib \
-	  HOLESCOUT_DATASET=$(abspath $(TRAINED)) LOADER_BENCH=$(abspath $(LOADER_BENCH)) \
+	$(WITH_TORCH) HOLESCOUT_DATASET=$(abspath $(TRAINED)) LOADER_BENCH=$(abspath $(LOADER_BENCH)) \
 	  $(LOADER_VENV)/bin/python benches/loader_vs_peers.py $(LOADER_FLAGS)
+
+# Steps a second of the environment from Python, on one core.
+.PHONY: bench-python
+bench-python: dataset wheel
+	cargo build --release --locked --example encode_states
+	$(PACKAGE)/bin/pip install -q --no-deps --force-reinstall dist/*.whl
+	$(PACKAGE)/bin/pip install -q -r benches/python-requirements.txt
+	PYTHONPATH=benches HOLESCOUT_DATASET=$(abspath $(OUT))/dataset ENCODE_STATES=$(abspath target/release/examples/encode_states) \
+	  $(PACKAGE)/bin/python benches/python_env.py
 
 $(LOADER_VENV)/.installed: benches/loader-requirements.txt
 	$(call venv,$(LOADER_VENV))
@@ -415,4 +460,4 @@ $(LOADER_VENV)/.installed: benches/loader-requirements.txt
 
 .PHONY: clean
 clean:
-	rm -rf build target $(VENV) $(SIONNA) $(LOADER_VENV) $(LIBTORCH)
+	rm -rf build dist target $(VENV) $(SIONNA) $(LOADER_VENV) $(PACKAGE) $(LIBTORCH)

@@ -11,7 +11,7 @@ process for each run, on the same cores; imports are not timed. The consumer rea
 Figures are medians over rounds, in which the contestants take turns. HOLESCOUT_DATASET names the dataset, LOADER_BENCH a program
 that takes DATASET SPLIT --epochs N --threads T [--memory-mb M], measures the same and prints {"samples": .., "first_sample_s": ..,
 "epoch_s": [..], "samples_per_s": .., "threads": .., "in_memory": ..}; the first of epoch_s counts from before the dataset
-is opened. MosaicML needs PyTorch, see loader-requirements.txt.
+is opened. MosaicML needs PyTorch, see loader-requirements.txt. "Holescout from Python" is `holescout.Dataset(...).loader()` of the package.
 """
 
 import argparse
@@ -36,6 +36,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import holescout
 import msgpack
 import numpy as np
 import zstandard
@@ -143,6 +144,22 @@ def run_ours(dataset: Path, split: str, threads: int, memory_mb: int | None, epo
     command += [] if memory_mb is None else ["--memory-mb", str(memory_mb)]
     found = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
     return Run(found["samples"], found["first_sample_s"], found["epoch_s"], found["in_memory"])
+
+
+def run_package(dataset: Path, split: str, threads: int, epochs: int) -> Run:
+    """One run of the package for Python, in this process; nothing is kept decoded."""
+    first, ends, samples = 0.0, [time.perf_counter()], 0
+    opened = holescout.Dataset(dataset, split)
+    loader = opened.loader(threads=threads)
+    for _ in range(epochs):
+        for _, record in zip(range(len(opened)), loader, strict=False):
+            middle = record["mask"].shape[0] // 2, record["mask"].shape[1] // 2
+            record["height_m"][middle], record["rsrp_dbm"][middle], record["mask"][middle]  # noqa: B018
+            if not samples:
+                first = time.perf_counter() - ends[0]
+            samples += 1
+        ends.append(time.perf_counter())
+    return Run(samples, first, np.diff(ends).tolist(), in_memory=False)
 
 
 def forget(folder: Path) -> None:
@@ -258,6 +275,8 @@ def main() -> None:
                 work = partial(run_ours, dataset, options.split, cores, memory)
                 label = "Holescout" if memory is None else f"Holescout, {memory} MB"
                 contestants.append(Contestant(label, dataset, dataset / options.split, work, ours=True))
+            work = partial(in_child, run_package, dataset, options.split, cores)
+            contestants.append(Contestant("Holescout from Python", dataset, dataset / options.split, work, ours=True))
         for number, peer in enumerate(peer for peer in PEERS if options.only in peer.name):
             folder = Path(name) / str(number)
             peer.write(records, folder)

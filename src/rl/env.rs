@@ -147,7 +147,9 @@ impl Environment {
     /// Ends all episodes where they are; the next ones begin.
     pub fn restart(&mut self, maps: &MapList) {
         let Self { seed, sight, starts, slots, .. } = self;
-        slots.iter_mut().for_each(|slot| slot.begin(*seed, sight, maps, starts));
+        for slot in slots {
+            slot.begin(*seed, sight, maps, starts);
+        }
     }
 
     /// What a checkpoint must keep.
