@@ -301,8 +301,8 @@ test-release: dataset $(VENV)/.installed | browser
 test-python: dataset wheel $(STUBS)
 	cargo build --locked --features remote --example trajectories
 	$(PACKAGE)/bin/pip install -q --no-deps --force-reinstall dist/*.whl
-	$(PACKAGE)/bin/ruff check -q python tests/python
-	$(PACKAGE)/bin/mypy --no-error-summary python/holescout
+	$(PACKAGE)/bin/ruff check -q --config python/pyproject.toml python tests/python
+	cd python && $(abspath $(PACKAGE))/bin/mypy --no-error-summary holescout
 	cd tests/python && $(WITH_TORCH) HOLESCOUT_DATASET=$(abspath $(OUT))/dataset \
 	  TRAJECTORIES=$(abspath target/debug/examples/trajectories) $(abspath $(PACKAGE))/bin/python -m pytest -q .
 
@@ -433,7 +433,7 @@ bench-learning: dataset $(LIBTORCH)/.installed | tools-torch
 	HOLESCOUT=$(abspath $(BIN)) $(PYTHON) benches/learning/learning.py train $(TRAINED) $(STORE) $(LEARNING_FLAGS)
 	$(PYTHON) benches/learning/learning.py report $(STORE)
 
-# Records a second against WebDataset and MosaicML Streaming, which need other versions of NumPy than the tests do.
+# Records a second against WebDataset, MosaicML Streaming and LitData, which need other versions of NumPy than the tests do.
 LOADER_VENV := .venv-loader
 LOADER_BENCH := target/release/loader_bench
 .PHONY: bench-loader

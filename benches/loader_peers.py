@@ -1,4 +1,4 @@
-"""How WebDataset and MosaicML Streaming store and load the records of a split.
+"""How WebDataset, MosaicML Streaming and LitData store and load the records of a split.
 
 Each peer is written by its own writer and yields `(id, height_m, rsrp_dbm, mask)` in an order of its own shuffle. The rest of a
 record is stored beside the arrays and left packed. `raw` is what someone who looks for speed would do: one member or column with
@@ -11,10 +11,12 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import litdata
 import numpy as np
 import streaming
 import webdataset as wds
 import zstandard
+from litdata.streaming.writer import BinaryWriter
 from torch.utils.data import DataLoader
 
 RECORDS_PER_SHARD = 256  # as in our datasets
@@ -214,6 +216,25 @@ def forget_decompressed(folder: Path) -> None:
         path.unlink()
 
 
+# LitData ------------------------------------------------------------------------------------------------------------------
+
+
+def write_chunks(compression: str | None, records: list[Record], folder: Path) -> None:
+    """Its chunks have no checksums."""
+    folder.mkdir()
+    options = {"compression": compression, "compression_level": "chunk"} if compression else {}
+    writer = BinaryWriter(str(folder), chunk_bytes=MDS_SHARD_BYTES, **options)
+    for number, record in enumerate(records):
+        writer[number] = {"id": record.ident, "raw": record.raw()}
+    writer.done()
+    writer.merge()
+
+
+def open_chunks(folder: Path, cells: int) -> Epoch:
+    dataset = litdata.StreamingDataset(str(folder), shuffle=True)
+    return lambda: ((sample["id"], *views(sample["raw"], cells)) for sample in dataset)
+
+
 PEERS = (
     Peer("WebDataset, .npy members", partial(write_tars, npy_members), open_npy),
     Peer("WebDataset, tenbin", partial(write_tars, tenbin_members), open_tenbin),
@@ -225,6 +246,8 @@ PEERS = (
          open_streaming_raw, prepare=forget_decompressed),
     Peer("MosaicML LocalDataset, ndarray", partial(write_mds, False, None), open_local),
     Peer("MosaicML LocalDataset, raw", partial(write_mds, True, None), open_local_raw),
+    Peer("LitData, raw", partial(write_chunks, None), open_chunks),
+    Peer("LitData, raw, zstd chunks", partial(write_chunks, f"zstd:{ZSTD_LEVEL}"), open_chunks),
     Peer("WebDataset, raw, kept in memory", partial(write_tars, raw_members), open_cached, in_memory=True),
     Peer("WebDataset, raw, 2 workers", partial(write_tars, raw_members), open_tars_with_workers, processes=3),
     Peer("MosaicML StreamingDataset, ndarray, 2 workers", partial(write_mds, False, None), open_streaming_with_workers,

@@ -1,4 +1,4 @@
-"""Samples per second of our loader against WebDataset and MosaicML Streaming, side by side.
+"""Samples per second of our loader against WebDataset, MosaicML Streaming and LitData, side by side.
 
 All load the same records, written by their own writers, each shuffled in its own way; see loader_peers.py. Every one has a fresh
 process for each run, on the same cores; imports are not timed. The consumer reads the middle element of each array.

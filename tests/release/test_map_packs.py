@@ -19,6 +19,9 @@ import map_packs  # noqa: E402: a program of the pipeline
 sys.path.insert(0, str(ROOT / "examples"))
 import read_shards  # noqa: E402
 
+sys.path.insert(0, str(ROOT / "datasets/sanjose-maps"))
+from missing import split_of  # noqa: E402
+
 DATASET = ROOT / "datasets/sanjose-0.1.0"
 ABOUT = ROOT / "datasets/sanjose-maps/about.xz"
 PACKS = sorted((ROOT / "datasets/sanjose-maps").glob("maps-*.xz"))
@@ -81,8 +84,11 @@ def test_what_the_repository_keeps_is_small_and_agrees() -> None:
         assert all(pack[name].shape == shape for name in ("path_gain_db", "std_error_db", "first_half_share"))
         kept += packed
     assert {about["licence"] for about in kept} == {"ODbL-1.0"}
+    # What is judged on has eight repeats; some of what is learned from has two.
+    repeats = {split: {about["repeats"] for about in kept if split_of(about["location_id"]) == split} for split in ("train", "val", "test")}
+    assert repeats == {"train": {2, 8}, "val": {8}, "test": {8}}
     # One setting, and each map with the scene that it was traced from.
-    same = ["repeats", "max_depth", "diffraction", "refraction", "sionna_version", "materials", "osm_sha256", "wedge_table"]
+    same = ["max_depth", "diffraction", "refraction", "sionna_version", "materials", "osm_sha256", "wedge_table"]
     assert len({json.dumps([about[key] for key in same], sort_keys=True) for about in kept}) == 1
     assert all(about["samples_per_tx"] <= 12_500_000 for about in kept), "fewer where a few reach the farthest cell"
     assert len({about["scene_sha256"] for about in kept}) == len(kept)

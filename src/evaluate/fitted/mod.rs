@@ -7,6 +7,7 @@
 
 mod belief;
 mod columns;
+mod forest;
 mod moves;
 mod neighbours;
 mod samples;

@@ -1,12 +1,11 @@
 //! `trees` and `trees-told-bs`: P(hole) by gradient-boosted trees, followed greedily.
 
-use std::fmt;
-
 use forust_ml::gradientbooster::GrowPolicy;
 use forust_ml::objective::ObjectiveType;
 use forust_ml::{GradientBooster, Matrix};
 
 use super::columns::{Columns, PLAIN};
+use super::forest::Forest;
 use super::moves::moves;
 use super::samples::Samples;
 use crate::rl::policy::{Policy, View};
@@ -39,18 +38,11 @@ pub enum FitError {
 }
 
 /// Fitted trees.
+#[derive(Debug)]
 pub(super) struct Trees {
-    /// Columns of a row that differ from row to row.
-    kept: Vec<usize>,
     columns: usize,
     told: bool,
-    booster: GradientBooster,
-}
-
-impl fmt::Debug for Trees {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Trees").field("told", &self.told).finish_non_exhaustive()
-    }
+    forest: Forest,
 }
 
 impl Trees {
@@ -70,6 +62,7 @@ impl Trees {
             let first = values.next();
             values.any(|value| Some(value) != first)
         };
+        // Columns that differ from row to row.
         let kept: Vec<usize> = (0..width).filter(differs).collect();
         let values = by_column(rows, *columns, &kept);
         let mut booster = GradientBooster::default()
@@ -85,7 +78,7 @@ impl Trees {
         let matrix = Matrix::new(&values, holes.len(), kept.len());
         let fitted = booster.fit_unweighted(&matrix, holes, None);
         fitted.map_err(|error| FitError::Library(error.to_string()))?;
-        Ok(Self { kept, columns: width, told, booster })
+        Ok(Self { columns: width, told, forest: Forest::new(&booster, &kept) })
     }
 
     /// The policy on a map.
@@ -95,9 +88,7 @@ impl Trees {
 
     /// Log-odds of a hole, of each row.
     fn log_odds(&self, rows: &[f32]) -> Vec<f64> {
-        let values = by_column(rows, self.columns, &self.kept);
-        let matrix = Matrix::new(&values, rows.len() / self.columns, self.kept.len());
-        self.booster.predict(&matrix, false)
+        self.forest.sums(rows, self.columns)
     }
 }
 
