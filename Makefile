@@ -23,7 +23,7 @@ SHELL := bash
 
 FIXTURE := fixtures/helsinki
 # The dataset of a city that lies in the repository.
-SANJOSE := datasets/sanjose-0.1.0
+SANJOSE := datasets/sanjose-1.0.0
 # Whether the dataset is one that is there, or is to be made of an extract and maps.
 IS_GIVEN := $(DATASET)
 OSM ?= $(FIXTURE)/helsinki.osm.pbf

@@ -2,7 +2,7 @@
 
     import holescout
 
-    dataset = holescout.Dataset("datasets/sanjose-0.1.0", "train")
+    dataset = holescout.Dataset("datasets/sanjose-1.0.0", "train")
     record = dataset[0]                       # heights, levels, mask: NumPy arrays, row 0 north, column 0 west
     env = holescout.make_vec(dataset, num_envs=64)
 

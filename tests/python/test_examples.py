@@ -44,5 +44,5 @@ def test_lines_of_the_readme_run(sanjose: Path, tmp_path: Path) -> None:
     text = (EXAMPLES.parent / "README.md").read_text()
     program = tmp_path / "readme.py"
     code = text.split("```python\n")[1].split("```")[0]
-    program.write_text(code.replace("datasets/sanjose-0.1.0", str(sanjose)))
+    program.write_text(code.replace("datasets/sanjose-1.0.0", str(sanjose)))
     run(program)

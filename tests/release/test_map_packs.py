@@ -22,7 +22,7 @@ import read_shards  # noqa: E402
 sys.path.insert(0, str(ROOT / "datasets/sanjose-maps"))
 from missing import split_of  # noqa: E402
 
-DATASET = ROOT / "datasets/sanjose-0.1.0"
+DATASET = ROOT / "datasets/sanjose-1.0.0"
 ABOUT = ROOT / "datasets/sanjose-maps/about.xz"
 PACKS = sorted((ROOT / "datasets/sanjose-maps").glob("maps-*.xz"))
 
