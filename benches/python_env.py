@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-SECONDS, ROUNDS = 2.0, 5
+SECONDS, ROUNDS = 2.0, 3
 DATASET = Path(os.environ["HOLESCOUT_DATASET"])
 ACTIONS = 961
 

@@ -15,7 +15,8 @@ Observations are dictionaries. "compact" is what a UAV knows, and enough to make
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -65,13 +66,20 @@ class FinalObservations:
     """The last observations of the episodes that have ended in a step, those of `infos["_final_obs"]`.
 
     `final_obs[3]` is the observation of environment 3, and None if that has not ended, as in Gymnasium's own environments.
-    `final_obs.batch` has the arrays of all that have ended, in the order of `final_obs.environments`.
+    `final_obs.batch` has the arrays of all that have ended, in the order of `final_obs.environments`; they are encoded when somebody
+    asks for them.
     """
 
-    def __init__(self, batch: Observation, ended: NDArray[np.bool_]) -> None:
-        self.batch = batch
+    def __init__(self, compact: Observation, ended: NDArray[np.bool_], encode: Callable[[Observation], Observation]) -> None:
+        self._compact = compact
+        self._encode = encode
         self.environments = np.flatnonzero(ended)
         self._count = len(ended)
+
+    @cached_property
+    def batch(self) -> Observation:
+        """The last observations of all that have ended."""
+        return self._encode(self._compact)
 
     def __len__(self) -> int:
         return self._count
@@ -137,7 +145,7 @@ class CoverageHoleVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[An
         infos = self._infos(compact)
         if last is not None:
             ended = terminations | truncations
-            infos["final_obs"] = FinalObservations(self._encoded(last), ended)
+            infos["final_obs"] = FinalObservations(last, ended, self._encoded)
             infos["_final_obs"] = ended
         return self._encoded(compact), rewards, terminations, truncations, infos
 

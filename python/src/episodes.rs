@@ -11,7 +11,7 @@ use crate::array::{array, values};
 use crate::compact::{Compact, Seen};
 use crate::error::mismatch;
 use crate::maps::Maps;
-use crate::masks::Masks;
+use crate::spare::Spare;
 use crate::workers;
 
 /// Episodes under way; those that end begin anew at once.
@@ -23,7 +23,7 @@ pub(crate) struct Episodes {
     max_steps: u32,
     floor_dbm: f32,
     environment: Mutex<Environment>,
-    masks: Masks,
+    masks: Spare<u8>,
 }
 
 /// Episodes before a step: what those that end had come to.
@@ -98,7 +98,7 @@ impl Episodes {
             max_steps,
             floor_dbm: maps.rl.floor_dbm.0 as f32,
             environment: Mutex::new(environment),
-            masks: Masks::default(),
+            masks: Spare::default(),
         })
     }
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use holescout::config::{Config, Encoding, RlConfig, TrainConfig};
 use holescout::grid::TileId;
 use holescout::rl::{Cell, Hops, MapKey, MapList, Sight, State, StateEncoder, Symmetry, World};
-use numpy::{PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::prelude::*;
@@ -15,6 +15,7 @@ use crate::array::{array, grid};
 use crate::compact::{GivenPaths, Paths, measurements};
 use crate::dataset::{Dataset, config, split};
 use crate::error::{invalid, mismatch, raise};
+use crate::spare::Spare;
 use crate::workers;
 
 /// One map: what blocks, what is a coverage hole, what a receiver measures.
@@ -123,6 +124,7 @@ pub(crate) struct Maps {
     pub(crate) rl: RlConfig,
     pub(crate) sight: Arc<Sight>,
     encoders: [OnceLock<StateEncoder>; 2],
+    encoded: Spare<f32>,
 }
 
 #[pymethods]
@@ -160,7 +162,7 @@ impl Maps {
             py.detach(|| workers::install(|| ids.par_iter().map(load).collect()));
         let worlds = Arc::new(worlds.map_err(|error: holescout::dataset::ReadError| raise(error))?);
         let sight = Arc::new(Sight::new(rl.reach_cells));
-        Ok(Self { worlds, rl, sight, encoders: Default::default() })
+        Ok(Self { worlds, rl, sight, encoders: Default::default(), encoded: Spare::default() })
     }
 
     fn __len__(&self) -> usize {
@@ -222,23 +224,29 @@ impl Maps {
             })
             .collect();
         let encoder = self.encoder(encoding)?;
-        let shapes = encoder.shapes();
-        let [mut map, mut window] =
-            shapes.map(|shape| vec![0.0_f32; measured.len() * shape.iter().product::<usize>()]);
-        py.detach(|| {
-            let state =
-                |(world, measurements)| State { world, measurements, symmetry: Symmetry::IDENTITY };
-            let states: Vec<State<'_>> = measured
-                .iter()
-                .map(|(world, measured)| state((*world, measured.as_slice())))
-                .collect();
-            workers::install(|| encoder.encode_batch(&states, &mut map, &mut window));
+        let count = measured.len();
+        let arrays = encoder.shapes().map(|shape| {
+            let values = count * shape.iter().product::<usize>();
+            (shape, self.encoded.take(py, values))
         });
-        let dict = PyDict::new(py);
-        for (name, values, [channels, rows, columns]) in
-            [("map", map, shapes[0]), ("window", window, shapes[1])]
         {
-            dict.set_item(name, array(py, values, [measured.len(), channels, rows, columns])?)?;
+            let [mut map, mut window] = arrays.each_ref().map(|(_, array)| array.readwrite());
+            let (map, window) = (map.as_slice_mut()?, window.as_slice_mut()?);
+            py.detach(|| {
+                let symmetry = Symmetry::IDENTITY;
+                let state = |(world, measurements)| State { world, measurements, symmetry };
+                let states: Vec<State<'_>> = measured
+                    .iter()
+                    .map(|(world, measured)| state((*world, measured.as_slice())))
+                    .collect();
+                workers::install(|| encoder.encode_batch(&states, map, window));
+            });
+        }
+        let dict = PyDict::new(py);
+        for (name, ([channels, rows, columns], array)) in ["map", "window"].into_iter().zip(arrays)
+        {
+            let shaped = array.reshape(numpy::ndarray::Dim([count, channels, rows, columns]))?;
+            dict.set_item(name, shaped)?;
         }
         Ok(dict)
     }
