@@ -219,11 +219,10 @@ def forget_decompressed(folder: Path) -> None:
 # LitData ------------------------------------------------------------------------------------------------------------------
 
 
-def write_chunks(compression: str | None, records: list[Record], folder: Path) -> None:
-    """Its chunks have no checksums."""
+def write_chunks(records: list[Record], folder: Path) -> None:
+    """Its chunks have no checksums; the writer that runs without its worker processes does not compress them."""
     folder.mkdir()
-    options = {"compression": compression, "compression_level": "chunk"} if compression else {}
-    writer = BinaryWriter(str(folder), chunk_bytes=MDS_SHARD_BYTES, **options)
+    writer = BinaryWriter(str(folder), chunk_bytes=MDS_SHARD_BYTES)
     for number, record in enumerate(records):
         writer[number] = {"id": record.ident, "raw": record.raw()}
     writer.done()
@@ -246,8 +245,7 @@ PEERS = (
          open_streaming_raw, prepare=forget_decompressed),
     Peer("MosaicML LocalDataset, ndarray", partial(write_mds, False, None), open_local),
     Peer("MosaicML LocalDataset, raw", partial(write_mds, True, None), open_local_raw),
-    Peer("LitData, raw", partial(write_chunks, None), open_chunks),
-    Peer("LitData, raw, zstd chunks", partial(write_chunks, f"zstd:{ZSTD_LEVEL}"), open_chunks),
+    Peer("LitData, raw", write_chunks, open_chunks),
     Peer("WebDataset, raw, kept in memory", partial(write_tars, raw_members), open_cached, in_memory=True),
     Peer("WebDataset, raw, 2 workers", partial(write_tars, raw_members), open_tars_with_workers, processes=3),
     Peer("MosaicML StreamingDataset, ndarray, 2 workers", partial(write_mds, False, None), open_streaming_with_workers,
