@@ -11,6 +11,7 @@ LONG and SHORT are directories of maps by `pipeline/sionna_trace.py` of eight an
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -48,7 +49,7 @@ def first_half(source: Path, target: Path) -> None:
 def judge(tiles: Path, scratch: Path, val: list[Path], train: list[Path], halves: bool) -> dict[str, list[tuple[float, float]]]:
     """Precision of each method after 1, 2, 4 and 8 steps, in percent, and half of its 95 % interval."""
     for name in ("maps", "rsrp", "dataset", "evaluation"):
-        subprocess.run(["rm", "-rf", scratch / name], check=True)
+        shutil.rmtree(scratch / name, ignore_errors=True)
     maps = scratch / "maps"
     maps.mkdir(parents=True)
     for path in val + ([] if halves else train):

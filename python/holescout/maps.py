@@ -31,12 +31,20 @@ class Maps(Sequence["_native.Map"]):
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         self.dataset = as_dataset(dataset, split)  # type: ignore[arg-type]
-        self.settings = dict(settings or {})
+        given = dict(settings or {})
         self._chosen = None if ids is None else list(ids)
-        self._native = _native.Maps(self.dataset._native, split or self.dataset.split, self._chosen, json.dumps({"rl": self.settings}))
+        self._native = _native.Maps(self.dataset._native, split or self.dataset.split, self._chosen, json.dumps({"rl": given}))
         self.ids: list[str] = self._native.ids()
-        self.cells, self.reach, self.max_steps, self.floor_dbm = self._native.sizes()
-        """Cells along a side (the paper's L), cells that a step may lead in each direction (l), most steps of an episode, dBm."""
+        self.cells = self._native.cells()
+        """Cells along a side (the paper's L)."""
+        self.settings: dict[str, Any] = json.loads(self._native.settings())
+        """All settings of `[rl]`, those that were not given among them."""
+        self.reach: int = self.settings["reach_cells"]
+        """Cells that a step may lead in each direction (l)."""
+        self.max_steps: int = self.settings["max_steps"]
+        """Most steps of an episode."""
+        self.floor_dbm: float = self.settings["floor_dbm"]
+        """Lower levels are not told apart."""
 
     @property
     def teaching(self) -> list[int]:

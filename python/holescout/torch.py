@@ -1,6 +1,5 @@
 """For PyTorch: a shuffled stream for its data loaders, and the encoding of compact observations on any device."""
 
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,44 +21,22 @@ class RecordStream(IterableDataset[Record]):
     def __init__(self, dataset: Dataset, *, seed: int = 0, rank: int = 0, world: int = 1, **options: Any) -> None:
         super().__init__()
         self.dataset = dataset
-        self._order: dict[str, Any] = {"seed": seed}
         self._share = (rank, world)
-        self._options = options
+        self._options = {"seed": seed} | options
         self._epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
         """The next iteration gives this epoch, from 0."""
         self._epoch = epoch
 
-    def __iter__(self) -> "_Epoch":
+    def __iter__(self) -> Loader:
         rank, world = self._share
         worker = get_worker_info()
         if worker is not None:
             rank, world = rank * worker.num_workers + worker.id, world * worker.num_workers
-        loader = Loader(self.dataset, **self._order, rank=rank, world=world, epochs=self._epoch + 1, **self._options)
+        loader = Loader(self.dataset, rank=rank, world=world, epochs=self._epoch + 1, **self._options)
         loader.load_state_dict(loader.state_dict() | {"cursor": self._epoch * len(self.dataset)})
-        return _Epoch(loader)
-
-
-class _Epoch(Iterator[Record]):
-    """One worker's part of an epoch."""
-
-    def __init__(self, loader: Loader) -> None:
-        self._loader = loader
-
-    def __iter__(self) -> "_Epoch":
-        return self
-
-    def __next__(self) -> Record:
-        return next(self._loader)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Where it is."""
-        return self._loader.state_dict()
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes on there."""
-        self._loader.load_state_dict(state)
+        return loader
 
 
 class Encoder(torch.nn.Module):
@@ -74,8 +51,8 @@ class Encoder(torch.nn.Module):
 
     def __init__(self, maps: Maps) -> None:
         super().__init__()
-        settings = {"hole_threshold_dbm": -100.0, "encoding_decay": 0.1, "height_scale_m": 50.0} | maps.settings
-        self.threshold_dbm = float(settings["hole_threshold_dbm"])
+        settings = maps.settings
+        self.threshold_dbm: float = settings["hole_threshold_dbm"]
         self.cells, self.reach = maps.cells, maps.reach
         heights = np.stack([each.height_m for each in maps]) / np.float32(settings["height_scale_m"])
         away = np.arange(1 - maps.cells, maps.cells, dtype=np.float64)

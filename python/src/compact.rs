@@ -1,14 +1,16 @@
 //! States as arrays: where a UAV was and what it measured, and where it may go. An encoder makes of them what a
 //! network sees; a replay buffer keeps them in 28 bytes each.
 
-use holescout::rl::{ActionSet, Cell, Environment, Measurement, World};
+use std::borrow::Cow;
+
+use holescout::rl::{ActionSet, Cell, Environment, Sight, World};
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::prelude::*;
 
 use crate::array::array;
-use crate::error::mismatch;
+use crate::error::{below, mismatch};
 
 /// The arrays of states. Paths are as long as the longest: a start and `max_steps` steps; what is not flown yet is row
 /// and column -1, and the level `floor_dbm`.
@@ -28,7 +30,15 @@ pub(crate) struct Seen<'a> {
     pub(crate) map: u32,
     pub(crate) world: &'a World,
     pub(crate) path: &'a [Cell],
-    pub(crate) permissible: &'a ActionSet,
+    pub(crate) permissible: Cow<'a, ActionSet>,
+}
+
+impl<'a> Seen<'a> {
+    /// The state at the end of a path.
+    pub(crate) fn after(map: u32, world: &'a World, path: &'a [Cell], sight: &Sight) -> Self {
+        let &cell = path.last().expect("a path has a start");
+        Self { map, world, path, permissible: Cow::Owned(sight.permissible(world, cell)) }
+    }
 }
 
 impl Compact {
@@ -52,7 +62,7 @@ impl Compact {
         }
         let flags = masks.len() / count;
         // Each thread has so many states, one after the other; a few are not worth waking it for.
-        let states = if count <= Environment::ALONE { count } else { Environment::ALONE };
+        let states = count.min(Environment::ALONE);
         let write = |(part, ((((map, rows), columns), levels), masks)): (usize, Part<'_>)| {
             let paths = rows.chunks_exact_mut(length).zip(columns.chunks_exact_mut(length));
             let paths =
@@ -135,10 +145,7 @@ impl GivenPaths<'_> {
         for (&map, (rows, columns)) in
             states.iter().zip(rows.rows().into_iter().zip(columns.rows()))
         {
-            let world = usize::try_from(map).ok().and_then(|map| worlds.get(map));
-            let Some(world) = world else {
-                return Err(mismatch("map", map, format!("0 to {}", worlds.len() - 1)));
-            };
+            let world = &worlds[below("map", map, worlds.len())?];
             let cells = rows.iter().zip(columns).take_while(|&(&row, _)| row >= 0);
             let path: Vec<Cell> =
                 cells.map(|(&row, &column)| Cell::new(row.into(), column.into())).collect();
@@ -154,14 +161,4 @@ impl GivenPaths<'_> {
         }
         Ok(Paths { maps, paths })
     }
-}
-
-/// What was measured on a path.
-pub(crate) fn measurements(
-    world: &World,
-    path: &[Cell],
-    rsrp_dbm: impl Iterator<Item = f32>,
-) -> Vec<Measurement> {
-    debug_assert!(path.iter().all(|&cell| world.contains(cell)));
-    path.iter().zip(rsrp_dbm).map(|(&cell, rsrp_dbm)| Measurement { cell, rsrp_dbm }).collect()
 }

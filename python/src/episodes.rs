@@ -1,15 +1,16 @@
 //! Many episodes at a time.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use holescout::rl::{ActionSet, Cell, Environment, MapList, Outcome, Sight};
+use holescout::rl::{Cell, Environment, MapList, Outcome, Sight};
 use numpy::{IntoPyArray, PyArrayMethods, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::array::{array, values};
 use crate::compact::{Compact, Seen};
-use crate::error::mismatch;
+use crate::error::{below, mismatch};
 use crate::maps::Maps;
 use crate::spare::Spare;
 use crate::workers;
@@ -171,7 +172,7 @@ impl Episodes {
     fn observe(&self, environment: &Environment, masks: &mut [u8]) -> Compact {
         Compact::new(environment.len(), self.length(), self.floor_dbm, masks, |slot| {
             let (map, path) = environment.state(slot);
-            let permissible = environment.permissible(slot);
+            let permissible = Cow::Borrowed(environment.permissible(slot));
             Seen { map, world: self.maps.get(map), path, permissible }
         })
     }
@@ -187,11 +188,8 @@ impl Episodes {
                 format!("{}, one of each environment", environment.len()),
             ));
         }
-        let action = |&action: &i64| {
-            let known = usize::try_from(action).ok().filter(|&action| action < count);
-            known.ok_or_else(|| mismatch("action", action, format!("0 to {}", count - 1)))
-        };
-        let actions = actions.iter().map(action).collect::<PyResult<Vec<usize>>>()?;
+        let actions = actions.iter().map(|&action| below("action", action, count));
+        let actions = actions.collect::<PyResult<Vec<usize>>>()?;
         Ok(workers::spread(self.count, || {
             let before = Before::of(environment, self.length());
             let outcomes = environment.step(&self.maps, &actions);
@@ -208,14 +206,9 @@ impl Episodes {
 
     /// The last observations of episodes that have ended.
     fn last(&self, ended: &[(u32, Vec<Cell>)], masks: &mut [u8]) -> Compact {
-        let permissible = |(map, path): &(u32, Vec<Cell>)| {
-            let &cell = path.last().expect("an episode has a start");
-            self.sight.permissible(self.maps.get(*map), cell)
-        };
-        let sets: Vec<ActionSet> = ended.iter().map(permissible).collect();
         Compact::new(ended.len(), self.length(), self.floor_dbm, masks, |at| {
             let (map, path) = &ended[at];
-            Seen { map: *map, world: self.maps.get(*map), path, permissible: &sets[at] }
+            Seen::after(*map, self.maps.get(*map), path, &self.sight)
         })
     }
 }

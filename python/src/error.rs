@@ -40,6 +40,12 @@ pub(crate) fn mismatch(
     exception(Fault::Input, message, Details { found: Some(found), expected: Some(expected) })
 }
 
+/// A number of Python that must be one of 0 to `end` - 1.
+pub(crate) fn below(what: &str, found: i64, end: usize) -> PyResult<usize> {
+    let known = usize::try_from(found).ok().filter(|&found| found < end);
+    known.ok_or_else(|| mismatch(what, found, format!("0 to {}", end.saturating_sub(1))))
+}
+
 fn details(error: &(dyn std::error::Error + 'static)) -> Details {
     let mut next = Some(error);
     while let Some(error) = next {

@@ -119,9 +119,6 @@ pub(crate) fn evaluate(
 ) -> PyResult<String> {
     let mut config: Config = config(settings)?;
     config.evaluate.methods.retain(|&method| policy.is_some() || method != Method::Agent);
-    if policy.is_some() && !config.evaluate.methods.contains(&Method::Agent) {
-        config.evaluate.methods.push(Method::Agent);
-    }
     let split = split_name.map(split).transpose()?;
     let sight = Arc::new(Sight::new(config.rl.reach_cells));
     let report = watched(py, progress.as_ref(), |watch| {

@@ -5,14 +5,16 @@ use std::sync::{Arc, OnceLock};
 
 use holescout::config::{Config, Encoding, RlConfig, TrainConfig};
 use holescout::grid::TileId;
-use holescout::rl::{Cell, Hops, MapKey, MapList, Sight, State, StateEncoder, Symmetry, World};
+use holescout::rl::{
+    Cell, Hops, MapKey, MapList, Measurement, Sight, State, StateEncoder, Symmetry, World,
+    load_maps,
+};
 use numpy::{PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rayon::prelude::*;
 
 use crate::array::{array, grid};
-use crate::compact::{GivenPaths, Paths, measurements};
+use crate::compact::{GivenPaths, Paths};
 use crate::dataset::{Dataset, config, split};
 use crate::error::{invalid, mismatch, raise};
 use crate::spare::Spare;
@@ -154,13 +156,8 @@ impl Maps {
                 "at least one",
             ));
         }
-        let load = |&id: &TileId| {
-            let (record, grids) = dataset.inner.record_with_grids(id)?;
-            Ok(Arc::new(World::new(&record, &grids, &rl)))
-        };
-        let worlds: Result<Vec<Arc<World>>, _> =
-            py.detach(|| workers::install(|| ids.par_iter().map(load).collect()));
-        let worlds = Arc::new(worlds.map_err(|error: holescout::dataset::ReadError| raise(error))?);
+        let worlds = py.detach(|| workers::install(|| load_maps(&dataset.inner, &ids, &rl)));
+        let worlds = Arc::new(worlds.map_err(raise)?);
         let sight = Arc::new(Sight::new(rl.reach_cells));
         Ok(Self { worlds, rl, sight, encoders: Default::default(), encoded: Spare::default() })
     }
@@ -174,7 +171,7 @@ impl Maps {
         let world = self.worlds.get(number);
         let world = world
             .ok_or_else(|| mismatch("map", number, format!("0 to {}", self.worlds.len() - 1)))?;
-        Ok(Map { world: Arc::clone(world), sight: Arc::clone(&self.sight) })
+        Ok(Map::new(Arc::clone(world), Arc::clone(&self.sight)))
     }
 
     /// Names of the tiles, by number.
@@ -187,11 +184,14 @@ impl Maps {
         (0..self.worlds.len()).filter(|&at| self.worlds[at].can_teach()).collect()
     }
 
-    /// Cells along a side, cells that a step may lead in each direction, most steps of an episode, and the level where none is
-    /// told apart.
-    fn sizes(&self) -> (usize, u32, u32, f64) {
-        let RlConfig { reach_cells, max_steps, floor_dbm, .. } = self.rl;
-        (self.worlds[0].cells(), reach_cells, max_steps, floor_dbm.0)
+    /// Cells along a side.
+    fn cells(&self) -> usize {
+        self.worlds[0].cells()
+    }
+
+    /// All settings of the task, as JSON.
+    fn settings(&self) -> PyResult<String> {
+        serde_json::to_string(&self.rl).map_err(|error| invalid(error.to_string()))
     }
 
     /// Shapes `[channels, rows, columns]` of the map and of the window of an encoding.
@@ -217,10 +217,13 @@ impl Maps {
         let Paths { maps, paths } = GivenPaths { map, rows, columns }.read(&self.worlds)?;
         let levels = rsrp_dbm.as_array();
         let states = maps.iter().zip(&paths).zip(levels.rows());
-        let measured: Vec<_> = states
+        let measured: Vec<(&World, Vec<Measurement>)> = states
             .map(|((&map, path), levels)| {
                 let world = &self.worlds[map as usize];
-                (&**world, measurements(world, path, levels.iter().copied()))
+                let measured = path.iter().zip(levels);
+                let measured =
+                    measured.map(|(&cell, &rsrp_dbm)| Measurement { cell, rsrp_dbm }).collect();
+                (&**world, measured)
             })
             .collect();
         let encoder = self.encoder(encoding)?;

@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 
 use crate::array::{array, values};
 use crate::compact::{Compact, GivenPaths, Paths, Seen};
-use crate::error::mismatch;
+use crate::error::{below, mismatch};
 use crate::maps::Maps;
 use crate::workers;
 
@@ -113,7 +113,6 @@ impl ReplayBuffer {
                 return Err(mismatch(what, found, count));
             }
         }
-        let actions_count = self.sight.actions().count() as i64;
         let known = [rl::REWARD_HOLE, rl::REWARD_STEP, rl::REWARD_BLOCKED];
         for (at, path) in paths.iter().enumerate() {
             if !(2..=self.length).contains(&path.len()) {
@@ -123,9 +122,7 @@ impl ReplayBuffer {
                     format!("2 to {}", self.length),
                 ));
             }
-            if !(0..actions_count).contains(&actions[at]) {
-                return Err(mismatch("action", actions[at], format!("0 to {}", actions_count - 1)));
-            }
+            below("action", actions[at], self.sight.actions().count())?;
             if !known.contains(&(rewards[at] as f32)) {
                 return Err(mismatch("reward", rewards[at], format!("one of {known:?}")));
             }
@@ -197,13 +194,8 @@ impl ReplayBuffer {
         }
         let mut kept = self.locked();
         let held = kept.buffer.len();
-        let position = |&at: &i64| {
-            let known = usize::try_from(at).ok().filter(|&at| at < held);
-            known
-                .ok_or_else(|| mismatch("position", at, format!("0 to {}", held.saturating_sub(1))))
-        };
-        let positions =
-            values(&positions).iter().map(position).collect::<PyResult<Vec<usize>>>()?;
+        let positions = values(&positions).into_iter().map(|at| below("position", at, held));
+        let positions = positions.collect::<PyResult<Vec<usize>>>()?;
         kept.buffer.update_priorities(&positions, &values(&errors));
         Ok(())
     }
@@ -220,16 +212,9 @@ impl ReplayBuffer {
             let transition: &rl::Transition = &transitions[at];
             if after { &transition.path } else { transition.before() }
         };
-        let world = |at: usize| &self.worlds[transitions[at].map as usize];
-        let sets: Vec<_> = (0..transitions.len())
-            .map(|at| {
-                let &cell = path(at).last().expect("a transition begins somewhere");
-                self.sight.permissible(world(at), cell)
-            })
-            .collect();
         Compact::new(transitions.len(), self.length, self.floor_dbm, masks, |at| {
             let map = transitions[at].map;
-            Seen { map, world: world(at), path: path(at), permissible: &sets[at] }
+            Seen::after(map, &self.worlds[map as usize], path(at), &self.sight)
         })
     }
 }

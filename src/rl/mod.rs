@@ -57,7 +57,7 @@ pub use flight::{
 };
 pub use maps::{MapKey, MapList, NothingToLearn};
 pub use oracle::Hops;
-pub use pool::{MapPool, MapSource, PoolError, PoolState, load_sample, load_split};
+pub use pool::{MapPool, MapSource, PoolError, PoolState, load_maps, load_sample, load_split};
 pub use replay::{MAX_STEPS, ReplayBuffer, Sample, Transition};
 pub use returns::NStepBuffer;
 pub use sight::{ActionSet, Sight};

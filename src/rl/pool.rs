@@ -31,7 +31,7 @@ pub fn load_split(
     split: Split,
     config: &RlConfig,
 ) -> Result<Vec<Arc<World>>, ReadError> {
-    load(dataset, &dataset.ids_of(split), config)
+    load_maps(dataset, &dataset.ids_of(split), config)
 }
 
 /// At most `count` maps of a split, chosen by `seed`, in the order of their names.
@@ -50,10 +50,14 @@ pub fn load_sample(
         return Err(PoolError::Empty { split });
     }
     ids.sort_unstable();
-    Ok(load(dataset, &ids, config)?)
+    Ok(load_maps(dataset, &ids, config)?)
 }
 
-fn load(
+/// The maps of some records, in their order.
+///
+/// # Errors
+/// The first record that cannot be read.
+pub fn load_maps(
     dataset: &Dataset,
     ids: &[TileId],
     config: &RlConfig,
@@ -254,7 +258,7 @@ impl MapSource {
                 let known = stream.loader.ids();
                 let ids = state.numbers.iter().map(|&number| known.get(number as usize).copied());
                 let Some(ids) = ids.collect::<Option<Vec<TileId>>>() else { return Ok(None) };
-                let maps = load(&stream.dataset, &ids, &stream.config)?;
+                let maps = load_maps(&stream.dataset, &ids, &stream.config)?;
                 let maps = state.numbers.iter().copied().zip(maps).collect();
                 let is_full = ids.len() == capacity;
                 MapPool::of(maps, is_full.then_some(stream))?
